@@ -5,7 +5,7 @@ STAMP := $(VENV)/.installed
 export BAYESCAL_TRUST := 1  # the repository's own configs run its own code
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: study real audits reproduce seal test test-runs test-browser test-dask test-slow check docs dist data picture benchmark hostile clean help
+.PHONY: study real audits reproduce update-manifests test test-runs test-browser test-dask test-nautilus test-slow check docs dist data picture benchmark hostile clean help
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (two to three minutes on two cores)"
@@ -16,9 +16,10 @@ help:
 	@echo "make test-runs  whole small experiments, seconds each"
 	@echo "make test-slow  the slow statistical suites"
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
+	@echo "make test-nautilus  posteriors and evidence by another library's sampler (installs nautilus)"
 	@echo "make test-browser  every kind's page in the system's Chromium (installs playwright, no browser)"
 	@echo "make check      linter, types, import contracts"
-	@echo "make seal       the manifests of committed results, of the files that git has of them"
+	@echo "make update-manifests  the manifests of committed results, of the files that git has of them"
 	@echo "make data       simulate the shipped twins again"
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
 	@echo "make dist       the wheel, into dist"
@@ -54,11 +55,15 @@ test-runs: $(STAMP)
 
 test-dask: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[dask]"
-	$(THREADS) $(BIN)/python -m pytest -q -m "slow or not slow" tests/experiments/frame/test_distributed.py
+	$(THREADS) $(BIN)/python -m pytest -q -m "slow or not slow" tests/experiments/runner/test_distributed.py
+
+test-nautilus: $(STAMP)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[nautilus]"
+	$(THREADS) $(BIN)/python -m pytest -q -m "runs or not runs" tests/inference/test_samplers.py
 
 test-browser: $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[browser]"
-	$(THREADS) $(BIN)/python -m pytest -q -m slow tests/report tests/experiments/frame/test_pages_in_browser.py
+	$(THREADS) $(BIN)/python -m pytest -q -m slow tests/report tests/experiments/runner/test_pages_in_browser.py
 
 test-slow: $(STAMP)
 	$(THREADS) $(BIN)/python -m pytest -q -n 2 -m slow
@@ -68,11 +73,11 @@ check: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-seal: $(STAMP)
-	rm -rf build/sealed && git checkout-index --prefix=build/sealed/ $$(git ls-files results)
+update-manifests: $(STAMP)
+	rm -rf build/manifests && git checkout-index --prefix=build/manifests/ $$(git ls-files results)
 	@for provenance in $$(git ls-files 'results/*/provenance.json'); do \
-	  folder=$$(dirname $$provenance) && rm -f build/sealed/$$folder/manifest.json && \
-	  $(BIN)/bayescal seal build/sealed/$$folder && cp build/sealed/$$folder/manifest.json $$folder || exit $$?; \
+	  folder=$$(dirname $$provenance) && rm -f build/manifests/$$folder/manifest.json && \
+	  $(BIN)/bayescal update-manifest build/manifests/$$folder && cp build/manifests/$$folder/manifest.json $$folder || exit $$?; \
 	done
 
 data: $(STAMP)

@@ -5,45 +5,100 @@ The names below are the way in from Python, in the order in which they are neede
 
 from __future__ import annotations
 
-import os
 import sys
 
-
-def list_elsewhere() -> list[str]:
-    """Return `sys.path` without the current folder, from which nothing is imported unless bayescal itself lies there.
-
-    Python puts it first for ``python -m`` and at a prompt: a stranger's file with a library's name would be run.
-    """
-    try:  # of os.path, which has been imported already: a library's name may be that of such a file
-        here, own = os.path.realpath(os.curdir), os.path.realpath(f"{__file__}/../..")
-    except OSError:  # a folder that is gone
-        return sys.path[:]
-    return [one for one in sys.path if here == own or os.path.realpath(one or os.curdir) != here]
-
+from bayescal.search_path import list_elsewhere
 
 if sys.argv[:1] == ["-m"]:  # `python -m bayescal`, before anything else is imported
     sys.path[:] = list_elsewhere()
 
-from importlib import import_module  # noqa: E402
-from importlib.metadata import version  # noqa: E402
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
+    from bayescal.api import (
+        Data as Data,
+    )
+    from bayescal.api import (
+        audit as audit,
+    )
+    from bayescal.api import (
+        calibrate as calibrate,
+    )
+    from bayescal.api import (
+        next_pose as next_pose,
+    )
+    from bayescal.api import (
+        run_experiment as run_experiment,
+    )
+    from bayescal.api import (
+        simulate as simulate,
+    )
+    from bayescal.calibrated.formats import export_machine as export_machine
+    from bayescal.calibrated.machine import CalibratedMachine as CalibratedMachine
+    from bayescal.calibrated.predict import compensate_poses as compensate_poses
+    from bayescal.calibrated.predict import predict_poses as predict_poses
+    from bayescal.config.sections import Section as Section
+    from bayescal.config.trust import trust as trust
+    from bayescal.density.calibration.terms import ErrorTerm as ErrorTerm
+    from bayescal.errors import (
+        BayescalError as BayescalError,
+    )
+    from bayescal.errors import (
+        InputError as InputError,
+    )
+    from bayescal.errors import (
+        NumericalError as NumericalError,
+    )
+    from bayescal.experiments.runner.load import load_experiment as load_experiment
+    from bayescal.experiments.shared.calibrating import load_calibrated as load_calibrated
+    from bayescal.machine_files import load_machine as load_machine
+    from bayescal.machines.parameters import ParameterBlock as ParameterBlock
+    from bayescal.machines.readings import (
+        Channel as Channel,
+    )
+    from bayescal.machines.readings import (
+        Coordinate as Coordinate,
+    )
+    from bayescal.machines.readings import (
+        Instrument as Instrument,
+    )
+    from bayescal.machines.readings import (
+        ReadingMachine as ReadingMachine,
+    )
+    from bayescal.results import (
+        LoadedResults as LoadedResults,
+    )
+    from bayescal.results import (
+        StudyResult as StudyResult,
+    )
+    from bayescal.results import (
+        VariantResult as VariantResult,
+    )
+    from bayescal.results import (
+        load_results as load_results,
+    )
 
 _HOMES = {
     "trust": "bayescal.config.trust",
-    "load_machine": "bayescal.front",
-    "audit": "bayescal.front",
-    "simulate": "bayescal.front",
-    "Data": "bayescal.front",
-    "calibrate": "bayescal.front",
-    "StudyResult": "bayescal.loaded",
-    "next_pose": "bayescal.front",
-    "load_results": "bayescal.loaded",
+    "load_machine": "bayescal.machine_files",
+    "audit": "bayescal.api",
+    "simulate": "bayescal.api",
+    "Data": "bayescal.api",
+    "calibrate": "bayescal.api",
+    "StudyResult": "bayescal.results",
+    "next_pose": "bayescal.api",
+    "LoadedResults": "bayescal.results",
+    "VariantResult": "bayescal.results",
+    "load_results": "bayescal.results",
     "load_calibrated": "bayescal.experiments.shared.calibrating",
     "CalibratedMachine": "bayescal.calibrated.machine",
     "predict_poses": "bayescal.calibrated.predict",
-    "command_poses": "bayescal.calibrated.predict",
+    "compensate_poses": "bayescal.calibrated.predict",
     "export_machine": "bayescal.calibrated.formats",
-    "load_experiment": "bayescal.experiments.frame.load",
-    "run_experiment": "bayescal.front",
+    "load_experiment": "bayescal.experiments.runner.load",
+    "run_experiment": "bayescal.api",
     "ReadingMachine": "bayescal.machines.readings",
     "ParameterBlock": "bayescal.machines.parameters",
     "Coordinate": "bayescal.machines.readings",

@@ -49,14 +49,23 @@ class InputError(BayescalError):
 
 
 class SeveralFaultsError(InputError):
-    """Several faults that were looked for together; all of them are told, a line each."""
+    """All faults that were looked for together; its message has a line for each."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         super().__init__(lines[0], lines[1:])
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The faults."""
+        return (self.args[0], *self.others)
+
+    def __str__(self) -> str:
+        """Return the faults, a line each."""
+        return "\n".join(self.lines)
+
 
 class PoseInputError(InputError):
-    """One pose of many, counted from zero, is at fault; whoever knows its name puts it in place of the number."""
+    """One pose of many, counted from zero, is at fault; whoever knows its name puts it instead of the number."""
 
     def __init__(self, index: int, fault: str) -> None:
         super().__init__(f"fit {index}: {fault}")

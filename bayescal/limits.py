@@ -22,14 +22,14 @@ HARMLESS = 0.01
 AGREEMENT = 0.1
 """Largest difference of the two log-evidences, nats."""
 OUT_OF_QUESTION = 50.0
-"""Nats behind the best variant from which on a doubtful evidence will do."""
+"""Nats behind the best variant from which on a unreliable evidence will do."""
 TEMPERED_LIMIT = 3.0
 """Standard errors of the difference by which an evidence may miss that of its check by tempering."""
 
 # what an audit calls determined
-INFORMED = 0.75
+IDENTIFIABLE_CONTRACTION = 0.75
 """Contraction from which on a parameter or a direction counts: its standard deviation is at least halved."""
-DEAD = 0.1
+UNIDENTIFIABLE_CONTRACTION = 0.1
 """Contraction below which hardly anything was learnt."""
 NINETY_FIVE = 1.96
 """Standard deviations to either side that hold 95 % of a normal."""
@@ -75,7 +75,7 @@ NOISE_BOUNDS = BOUNDS | {"mm": (1e-7, 1e2), "deg": (1e-9, 360.0), "rad": (1e-11,
 """Of keys with noise in their names: a tenth of a nanometre to a decimetre."""
 WIDTH_BOUNDS: dict[str, tuple[float, float]] = {"mm": (1e-7, 1e5), "rad": (1e-9, 7.0), "1": (1e-9, 10.0)}
 """Of what is not known of a parameter, by its unit: a tenth of a nanometre to a hundred metres, a full turn, ten."""
-LASTING: Final = ("linear", "own", "smooth")
+LASTING: Final = ("linear", "positioning", "smooth")
 """Terms of a model error that a geometry imitates."""
 UNSEEN_UM = 10.0
 """Root mean square of errors that leave no trace, which pages tell of where nothing is stated of them."""

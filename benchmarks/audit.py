@@ -23,9 +23,9 @@ import numpy as np
 from bayescal.experiments.audit.audit import analyse, run_audit
 from bayescal.experiments.audit.audit import evaluate_change
 from bayescal.experiments.audit.design import load_audit, read_plans
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.schema import WhatIfConfig
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.audit.planned import DesignVariant
+from bayescal.experiments.audit.schema import ScenarioConfig
+from bayescal.experiments.runner.parallel import Run
 from bayescal.numerics.geometry import Array
 
 DESIGN = Path(__file__).parent.parent / "experiments" / "audit" / "telescope_six_pus_none.toml"
@@ -33,7 +33,7 @@ STEP = 1e-4  # of a tolerance
 REPEATS = 5
 
 
-def differentiate(plan: Planned) -> Array:
+def differentiate(plan: DesignVariant) -> Array:
     """Return the derivative of the readings by the free parameters from central differences, (P, K, n)."""
     sampling, variant, n = plan.posterior.sampling, plan.variant, len(plan.names)
     ends = [
@@ -67,7 +67,7 @@ def run(points: int) -> dict[str, object]:
     audit_time, _ = time_it(lambda: run_audit(inputs, Run()), REPEATS)
     rng = np.random.default_rng(1)
     changes = [
-        WhatIfConfig(
+        ScenarioConfig(
             name="",
             poses_factor=float(rng.uniform(0.3, 2.0)),
             workspace_factor=float(rng.uniform(0.3, 2.0)),

@@ -4,7 +4,7 @@
                                 [--most 10000] [--write benchmarks/results/growth.json]
 
 - ``hexapod``, ``own``: the study that `bayescal init` writes, of legs by poses and of a machine of one function, with
-  its effort and so many simulated rows, a tenth of them held back; beside them what the run says beforehand that it
+  its effort and so many simulated rows, a tenth of them held back; beside them what the run says first that it
   takes (``said_s``, ``said_mib``), and what `validate` takes, Python's modules among it;
 
 - ``poses``: a study of six struts (42 parameters, poses by a tracker, one model error), from reading to its page;
@@ -60,12 +60,12 @@ steps = 10
 draws = 1000
 max_draws = 1000
 """
-EFFORT = f"{SAMPLING}\n[sensitivity]\nfactor = [1.0]\n"
+EFFORT = f"{SAMPLING}\n[sensitivity]\nprior_width_factors = [1.0]\n"
 RUN = """
 import resource, sys, time
 from pathlib import Path
 from bayescal import load_experiment
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.run import run_experiment
 import bayescal.report.page, arviz, matplotlib.pyplot
 path, out = Path(sys.argv[1]), Path(sys.argv[2])
 begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -78,7 +78,7 @@ SAY = """
 import sys
 from pathlib import Path
 from bayescal import load_experiment
-from bayescal.experiments.frame.run import admit
+from bayescal.experiments.runner.run import admit
 path = Path(sys.argv[1])
 admitted = admit(load_experiment(path), path.parent, 1)
 print(admitted.experiment.estimate_seconds(admitted.inputs, 1), admitted.need.sum_up(1) / 2**20)
@@ -105,7 +105,7 @@ def describe_machine(n_legs: int) -> str:
     return (
         f'name = "struts"\n[base]\npoints_mm = {base.round(3).tolist()}\n[platform]\n'
         f"points_mm = {platform.round(3).tolist()}\n[home]\nposition_mm = [0.0, 0.0, 1300.0]\n"
-        '[legs]\ndrive = "strut"\nactuator_range_mm = 150.0\n'
+        '[legs]\nactuated_joint = "strut"\nactuator_range_mm = 150.0\n'
     )
 
 
@@ -160,9 +160,10 @@ def write_study(folder: Path, n_legs: int, n_poses: int, symbols: tuple[str, ...
     path = folder / "study.toml"
     path.write_text(
         f'kind = "study"\nname = "growth"\ntitle = "Growth"\nseed = 1\nmachine = "machine.toml"\n'
-        '[origin]\nstatus = "simulated"\ntext = "never measured"\n[data]\nmeasurement = "poses"\nposes = "poses.csv"\n'
+        '[provenance]\nstatus = "simulated"\ntext = "never measured"\n'
+        '[data]\ninstrument = "poses"\nposes = "poses.csv"\n'
         'actuators = "actuators.csv"\nactuator_noise_um = 1.0\nposition_um = 10.0\norientation_arcsec = 2.0\n'
-        f"{describe_parameters(symbols)}[model_error]\nscale_um = 10.0\nper_leg = false\n"
+        f"{describe_parameters(symbols)}[model_error]\nrandom_scale_um = 10.0\nseparate_by_leg = false\n"
         f'[[variants]]\nmodel = "six_ups"\ndeformation = "none"\nfree = {json.dumps(symbols)}\n{EFFORT}'
     )
     return path
@@ -200,7 +201,7 @@ def write_audit(folder: Path, n_poses: int) -> Path:
     path.write_text(
         'kind = "audit"\nname = "growth"\ntitle = "Growth"\nseed = 1\n'
         + DESIGN.format(deformation='deformation = "none"\n')
-        + f'{describe_parameters(SYMBOLS)}[poses]\nplan = "uniform"\ncount = {n_poses}\nrange_mm = 10.0\n'
+        + f'{describe_parameters(SYMBOLS)}[poses]\nsampling = "uniform"\ncount = {n_poses}\nrange_mm = 10.0\n'
     )
     return path
 
@@ -211,11 +212,11 @@ def write_selection(folder: Path, n_candidates: int) -> Path:
     path = folder / "selection.toml"
     path.write_text(
         'kind = "selection"\nname = "growth"\ntitle = "Growth"\nseed = 1\n'
-        'origin = { status = "simulated", text = "for a benchmark" }\n'
+        'provenance = { status = "simulated", text = "for a benchmark" }\n'
         + DESIGN.format(deformation="")
         .replace("[workspace]", "[workspace]\nposes = 50")
         .replace("[[variants]]", '[variant]\nsensors = ["tracker"]')
-        + f'{describe_parameters(SYMBOLS)}[domain]\nwithin = "workspace"\nposition_mm = [40.0, 40.0, 40.0]\n'
+        + f'{describe_parameters(SYMBOLS)}[domain]\nkind = "workspace"\nposition_mm = [40.0, 40.0, 40.0]\n'
         f"rotation_deg = [1.0, 1.0, 1.0]\n[candidates]\ncount = {n_candidates}\n[[selections]]\n"
         'method = "exchange"\ncriteria = ["O1", "I"]\nn_poses = [12]\n'
     )
@@ -232,7 +233,7 @@ def write_project(folder: Path, machine: str, n_rows: int) -> Path:
     n_held, simulation = n_rows // 10, folder / "simulate.toml"
     if machine == "own":
         text = simulation.read_text().replace("\nn_poses = 25", f"\nn_poses = {n_rows - n_held}")
-        simulation.write_text(text.replace("verification_poses = 5", f"verification_poses = {n_held}"))
+        simulation.write_text(text.replace("n_verification_poses = 5", f"n_verification_poses = {n_held}"))
     else:
         rng, columns = np.random.default_rng(n_rows), ",".join(f"drho_{k}" for k in range(1, 7))
         for use, n in (("calibration", n_rows - n_held), ("verification", n_held)):

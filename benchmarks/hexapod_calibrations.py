@@ -21,7 +21,7 @@ from telescope_problem import write_results
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.numerics.geometry import Array
 
 EXPERIMENT = Path(__file__).parent.parent / "experiments" / "yu2023" / "table4.toml"

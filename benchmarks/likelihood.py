@@ -35,7 +35,7 @@ def build_model_case(problem: Problem, name: str) -> dict[str, Callable[[], obje
     own = replace(problem, machine=machine)
     plain, erring = own.posterior(), own.posterior(model_error=True)
     whole = replace(erring, likelihood=erring.likelihood.whole)
-    best = erring.approach()
+    best = erring.least_squares_start()
     y = best + SPREAD * rng.standard_normal((BATCH, len(best)))
     short, theta = y[:, : plain.n_parameters], erring.theta(best[None])[0]
     stroke = mechanism.actuator_range * rng.uniform(-1.0, 1.0, (N_POSES, mechanism.n_legs))

@@ -1,7 +1,7 @@
 """Do the 90 % intervals of a look-up table hold what they promise? Twins of experiments/m2_hexapod_table say.
 
 Each twin is a machine drawn within the tolerances, measured as the shipped one is (30 random poses between the zenith
-and the horizon and over 30 K) and calibrated anew; its table is compared with the twin's own.
+and the horizon and over 30 K) and calibrated again; its table is compared with the twin's own.
 The posterior is the Gaussian about its mode, whose efficiency as a proposal for the true one is printed beside.
 
     python benchmarks/lookup_table.py --twins 40 --out table_0.csv
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.table.inputs import TableInputs, read_table, respond
 from bayescal.experiments.table.schema import TableConfig
 from bayescal.inference.mode import find_modes
@@ -53,7 +53,7 @@ def judge_twin(shipped: TableInputs, seed: int) -> dict[str, float]:
     """Return which part of a twin's corrections and offsets lies in its 90 % intervals, and how sound these are."""
     rng = np.random.default_rng([seed, 1])
     inputs, truth = simulate_twin(shipped, rng)
-    posterior = inputs.variant.posterior().anchored()
+    posterior = inputs.variant.posterior().with_pose_guesses()
     mode = find_modes(posterior, np.random.default_rng(seed))[0].y
     factor = np.linalg.cholesky(np.linalg.inv(-posterior.gradient(mode)[1]))
     white = rng.standard_normal((DRAWS, len(mode)))

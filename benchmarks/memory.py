@@ -32,9 +32,9 @@ RUN = """
 import resource, sys, time
 from pathlib import Path
 from bayescal import load_experiment
-from bayescal.experiments.frame.load import find_kind, read_inputs
-from bayescal.experiments.frame.memory import PROCESS
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import find_kind, read_inputs
+from bayescal.experiments.runner.memory import PROCESS
+from bayescal.experiments.runner.run import run_experiment
 import bayescal.report.page, arviz, matplotlib.pyplot
 path, out = Path(sys.argv[1]), Path(sys.argv[2])
 config = load_experiment(path)
@@ -110,7 +110,7 @@ def write_sessions(folder: Path, n_sessions: int, n_poses: int, n_draws: int) ->
     for k in range(n_sessions):
         scatter(own / "data" / "targets.csv", own / "data" / f"targets_{k}.csv", k)
     sections = [
-        f'[[sessions]]\nlabel = "S{k}"\nday = {30.0 * k}\ntargets = "data/targets_{k}.csv"\n'
+        f'[[sessions]]\nlabel = "S{k}"\ntime_days = {30.0 * k}\ntargets = "data/targets_{k}.csv"\n'
         f'actuators = "data/actuators.csv"\ntemperature_celsius = {2.0 + k % 20}\n'
         for k in range(n_sessions)
     ]
@@ -123,9 +123,9 @@ def write_check(folder: Path, n_poses: int, n_draws: int) -> Path:
     from growth import SYMBOLS, write_study
 
     write_study(folder, 6, n_poses, SYMBOLS)
-    path = folder / "check.toml"
+    path = folder / "selftest.toml"
     path.write_text(
-        'kind = "check"\nname = "check"\ntitle = "Check"\nseed = 1\nstudy = "study.toml"\n'
+        'kind = "selftest"\nname = "selftest"\ntitle = "Self-test"\nseed = 1\nstudy = "study.toml"\n'
         f"data_sets = 4\ndraws = {n_draws}\n"
     )
     return path
@@ -149,7 +149,7 @@ CASES: dict[str, tuple[Callable[..., Path], tuple[tuple[int, ...], ...]]] = {
     "calibration": (write_calibration, ((100,), (400,))),
     "sliding_platform": (write_sliding_platform, ((500,), (3000,))),
     "sessions": (write_sessions, ((6, 200, 3000), (24, 50, 3000), (6, 40, 60_000))),
-    "check": (write_check, ((316, 4000), (1000, 4000), (40, 100_000))),
+    "selftest": (write_check, ((316, 4000), (1000, 4000), (40, 100_000))),
     "sweep": (write_sweep, ((300,), (3000,))),
 }
 

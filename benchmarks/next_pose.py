@@ -11,7 +11,7 @@ noise that the shipped survey's poses have on average. After every pose the post
 its mean machine is set against the true one over 200 poses of the workspace by forward kinematics of both. Required is
 what 40 planned poses achieve with 95 %: the audit's limits times one factor, found for the expected machine. One stops
 as soon as the requirements hold with 95 %; the stop was true where the true machine, with actuators' noise and model
-errors drawn anew, keeps the limits at every pose.
+errors drawn again, keeps the limits at every pose.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ import numpy as np
 from bayescal.data.actuators import read_moves
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.terms import NO_ERRORS
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.next.compute import State, find_state
-from bayescal.experiments.next.inputs import Subject, read_next
+from bayescal.experiments.next_pose.compute import State, find_state
+from bayescal.experiments.next_pose.inputs import MeasuredVariant, read_next_pose
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.leg_readings import place_legs
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.identifiability.requirements import Requirement
@@ -58,7 +58,7 @@ class Problem:
         Covariance of a measured pose, mm and rad.
     """
 
-    subject: Subject
+    subject: MeasuredVariant
     plan: Array
     noise: Array
 
@@ -97,12 +97,12 @@ class Problem:
 
 def build_problem(model_error: bool, reach: float | None) -> Problem:
     """Return what all twins share; requirements are the audit's."""
-    config = load(FOLDER / "next.toml")[1].model_copy(update={"first": None})
+    config = load(FOLDER / "next_pose.toml")[1].model_copy(update={"n_first_poses": None})
     if reach is not None:
         config = config.model_copy(
             update={"candidates": type(config.candidates)(range_mm=reach, count=config.candidates.count)}
         )
-    subject = next(iter(read_next(config, FOLDER).subjects.values()))
+    subject = next(iter(read_next_pose(config, FOLDER).subjects.values()))
     if not model_error:
         posterior = replace(subject.measured.posterior, errors=NO_ERRORS)
         subject = replace(subject, measured=replace(subject.measured, posterior=posterior))

@@ -1,4 +1,4 @@
-"""Time of pose selection by update formulas, against the singular values of every set anew.
+"""Time of pose selection by update formulas, against the singular values of every set again.
 
     python benchmarks/pose_selection.py [--candidates 10000] [--iterations 219] [--sets 200] [--all]
 

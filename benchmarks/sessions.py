@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayescal.density.sessions import DAYS_IN_MONTH, Drift, Part, SessionModel, walk_loadings
-from bayescal.experiments.check.inputs import Subject
-from bayescal.experiments.frame.load import load
+from bayescal.density.sessions import DAYS_IN_MONTH, DriftModel, Part, SessionModel, walk_loadings
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.selftest.inputs import TestedVariant
 from bayescal.experiments.sessions.compute import SessionFit, fit_sessions
 from bayescal.experiments.sessions.inputs import describe_free, pick_rows
 from bayescal.experiments.shared.measured import measure_variants
@@ -28,7 +28,7 @@ CLEAR = 3.0
 """Nats from which on a page calls drift clear."""
 
 
-def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
+def make_sessions(subject: TestedVariant, moves: bool, rng: np.random.Generator) -> tuple[SessionModel, Array]:
     """Return sessions of a twin, and the true lengths in each, (S, N), less those of the first."""
     posterior = subject.posterior
     layout = posterior.likelihood.layout
@@ -41,12 +41,12 @@ def make_sessions(subject: Subject, moves: bool, rng: np.random.Generator) -> tu
     for session in range(SESSIONS):
         now = theta.copy()
         now[:, free[lengths]] += moved[session]
-        plan = Subject(subject.measured.pick(rng.choice(posterior.likelihood.data.n_poses, POSES, replace=False)))
-        values = plan.simulate(posterior.adopt(now, posterior.zeta(truth))[0], rng)
+        plan = TestedVariant(subject.measured.pick(rng.choice(posterior.likelihood.data.n_poses, POSES, replace=False)))
+        values = plan.simulate(posterior.to_coordinates(now, posterior.zeta(truth))[0], rng)
         assert values is not None
         parts.append(Part(pick_rows(plan.measured.retake(values), np.arange(POSES)), session))
     units = tuple(f"l[{k}]" for k in range(1, len(lengths) + 1))
-    drift = Drift(loadings, lengths, np.arange(len(lengths)), units, np.full(len(lengths), SCALE))
+    drift = DriftModel(loadings, lengths, np.arange(len(lengths)), units, np.full(len(lengths), SCALE))
     return SessionModel(tuple(parts), *describe_free(subject.measured, "study"), drift, ()), moved
 
 
@@ -58,7 +58,7 @@ def compare(model: SessionModel, fit: SessionFit, moved: Array) -> tuple[Array, 
     return np.mean(found < truth, axis=0), (found.mean(axis=0) - truth) / found.std(axis=0)
 
 
-def try_twin(subject: Subject, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
+def try_twin(subject: TestedVariant, moves: bool, seed: int, n_draws: int) -> dict[str, object]:
     """Return what sessions of one twin say."""
     rng = np.random.default_rng([2026, seed, int(moves)])
     model, moved = make_sessions(subject, moves, rng)
@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     experiment, study = load(STUDY)
-    subject = Subject(measure_variants(experiment, study, STUDY, [VARIANT])[VARIANT])
+    subject = TestedVariant(measure_variants(experiment, study, STUDY, [VARIANT])[VARIANT])
     seeds = range(given.first, given.first + given.twins)
     table = pd.DataFrame([try_twin(subject, moves, seed, given.draws) for seed in seeds for moves in (True, False)])
     if given.out is not None:

@@ -20,12 +20,12 @@ import numpy as np
 import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).parent / "slips"))
+from machines import MACHINES, read_subject, write_project
 from plants import PLANTS
 
-from bayescal.experiments.check.inputs import Subject
+from bayescal.experiments.selftest.inputs import TestedVariant
 from bayescal.experiments.shared.slip_causes import MODEL
 from bayescal.experiments.shared.slip_search import search_cause
-from machines import MACHINES, read_subject, write_project
 
 DATA = ("frame", "unit", "sign", "exchanged", "poses", "row", "sensor")
 """Plants that are slips of the data; of others a study has to say nothing."""
@@ -33,7 +33,7 @@ ERRING = "erring"
 SIX = ("hexapod by poses", "m2 hexapod", "hexaglide", "linear delta", "serial arm", "cable robot")
 
 
-def judge(subject: Subject, machine: str, slip: str, k: int, seed: int) -> dict[str, object]:
+def judge(subject: TestedVariant, machine: str, slip: str, k: int, seed: int) -> dict[str, object]:
     """Return what a check and a study say of one set of data, and whether it is right."""
     rng = np.random.default_rng([seed, zlib.crc32(f"{machine} {slip}".encode()), k])
     values, fault, words = PLANTS[slip](subject, rng)

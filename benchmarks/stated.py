@@ -20,13 +20,13 @@ import numpy as np
 import pandas as pd
 
 sys.path.insert(0, str(Path(__file__).parent / "slips"))
+from machines import read_subject, write_project
 from plants import clean
 
-from bayescal.experiments.check.inputs import Subject
+from bayescal.experiments.selftest.inputs import TestedVariant
 from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.readings.priors import widen
-from bayescal.experiments.shared.slip_rows import Readings
-from machines import read_subject, write_project
+from bayescal.experiments.shared.slip_rows import VariantReadings
 
 MACHINES = ("hexapod by poses", "linear delta", "serial arm", "cable robot")
 CHANGES: dict[str, tuple[str, float]] = {
@@ -42,7 +42,7 @@ SMALL, LARGE = ("noise", "scatter"), ("noise",)
 """A noise that is stated too small: errors of the model from row to row make up for it, where both are said."""
 
 
-def restate(subject: Subject, change: str, rng: np.random.Generator) -> tuple[Readings, str]:
+def restate(subject: TestedVariant, change: str, rng: np.random.Generator) -> tuple[VariantReadings, str]:
     """Return readings with something stated so many times as large, and the letter that is meant, if any."""
     measured = subject.measured.retake(clean(subject, rng)[0])
     what, factor = CHANGES[change]
@@ -60,7 +60,7 @@ def restate(subject: Subject, change: str, rng: np.random.Generator) -> tuple[Re
     return replace(measured, posterior=replace(posterior, likelihood=likelihood, priors=priors)).readings, letter
 
 
-def judge(subject: Subject, machine: str, change: str, k: int, seed: int) -> dict[str, object]:
+def judge(subject: TestedVariant, machine: str, change: str, k: int, seed: int) -> dict[str, object]:
     """Return what is said of one set of data, and whether it is right."""
     rng = np.random.default_rng([seed, zlib.crc32(f"{machine} {change}".encode()), k])
     readings, letter = restate(subject, change, rng)

@@ -24,8 +24,8 @@ import numpy as np  # noqa: E402 - after the number of threads is set
 
 from bayescal.data.measured_poses import MeasuredPoses  # noqa: E402
 from bayescal.density.calibration.likelihood import CalibrationPosterior  # noqa: E402
-from bayescal.density.calibration.model_error import IndependentErrors  # noqa: E402
-from bayescal.density.calibration.terms import Errors  # noqa: E402
+from bayescal.density.calibration.model_error import RandomTerm  # noqa: E402
+from bayescal.density.calibration.terms import ErrorModel  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402
 from bayescal.experiments.shared.leg_readings import place_legs  # noqa: E402
 from bayescal.files.csv_tables import read_matrix  # noqa: E402
@@ -71,13 +71,12 @@ class Problem:
     ) -> CalibrationPosterior:
         """Return the posterior about the machine that explains the poses, without model error or with one per leg."""
         own = np.eye(12, dtype=bool)[: 6 if model_error else 0]
-        terms = [
-            IndependentErrors(f"tau[{leg}]", one, MODEL_ERROR_SCALE, "mm", np.ones(12))
-            for leg, one in enumerate(own, 1)
-        ]
+        terms = [RandomTerm(f"tau[{leg}]", one, MODEL_ERROR_SCALE, "mm", np.ones(12)) for leg, one in enumerate(own, 1)]
         chosen = self.priors() if priors is None else priors
-        found = place_legs(Legs(self.machine), self.poses, ACTUATOR_NOISE, chosen, Errors(tuple(terms)), {}).posterior
-        return replace(found, likelihood=replace(found.likelihood, straight=True)).anchored()
+        found = place_legs(
+            Legs(self.machine), self.poses, ACTUATOR_NOISE, chosen, ErrorModel(tuple(terms)), {}
+        ).posterior
+        return replace(found, likelihood=replace(found.likelihood, straight=True)).with_pose_guesses()
 
 
 def simulate(seed: int = SEED) -> Problem:

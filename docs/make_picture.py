@@ -13,7 +13,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from bayescal.experiments.frame.run import write_report
+from bayescal.experiments.runner.run import write_report
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PICTURE = ROOT / "results" / "hangprinter", ROOT / "docs" / "images" / "report.png"
@@ -39,7 +39,7 @@ def take_picture(page: Path, picture: Path) -> None:
 
 
 def main() -> None:
-    """Write the page of the committed results anew and take its picture."""
+    """Write the page of the committed results again and take its picture."""
     with tempfile.TemporaryDirectory() as folder:
         copy = shutil.copytree(RESULTS, Path(folder) / RESULTS.name)
         take_picture(write_report(copy), PICTURE)

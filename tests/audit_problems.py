@@ -10,14 +10,14 @@ import telescope_machines as machines
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.audit.design import load_audit, read_plans
-from bayescal.experiments.audit.planned import Planned, PlannedPoses
+from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses
 from bayescal.experiments.shared import design
 from bayescal.experiments.shared.schema import ModelConfig
-from bayescal.identifiability.requirements import Forecast
+from bayescal.identifiability.requirements import WorkspaceErrorModel
 from bayescal.machines.kinematics import Machine
 from bayescal.machines.readings import Legs, PoseInstrument, place
 from bayescal.machines.sensors import PoseSensor, Sensor
@@ -114,10 +114,10 @@ def see_plan(knowledge: Design, plan: Plan) -> SeenPoses:
     return design.see(WorkspaceBox(design, np.ones(6)).at_actuators(plan.actuators))
 
 
-def foretell(knowledge: Design, actuators: np.ndarray, plan: Plan) -> Forecast:
+def foretell(knowledge: Design, actuators: np.ndarray, plan: Plan) -> WorkspaceErrorModel:
     """Return how poses err at actuator positions (W, N)."""
     located = see_plan(knowledge, replace(plan, actuators=actuators)).located
-    return Forecast(located.tool, located.located @ np.swapaxes(located.located, -1, -2))
+    return WorkspaceErrorModel(located.tool, located.located @ np.swapaxes(located.located, -1, -2))
 
 
 def compute_rows(knowledge: Design, plan: Plan) -> np.ndarray:
@@ -160,7 +160,7 @@ def read_plan(knowledge: Design, plan: Plan, frames: tuple[str, ...] = ()) -> Ca
     model = model.pick(there)
     names, noise = tuple(map(str, range(len(pose)))), np.concatenate([own, sd], axis=1)
     data = Measurements(names, model.read(layout.nominal, pose), noise, {}, correlation)
-    return Posterior(CalibrationLikelihood(model, data, 1.0, pose).plain, priors, Errors())
+    return Posterior(CalibrationLikelihood(model, data, 1.0, pose).plain, priors, ErrorModel())
 
 
 def read_machine(name: str) -> Machine:
@@ -172,14 +172,14 @@ def read_machine(name: str) -> Machine:
     return design.read_machine(path.parent / config.machine, model, config.deformation, path.parent)
 
 
-def read_shipped(name: str, **changes) -> Planned:
+def read_shipped(name: str, **changes) -> DesignVariant:
     """Return the only plan of a shipped design with some of its fields replaced."""
     path = DESIGNS / f"{name}.toml"
     (plan,) = read_plans(load_audit(path).model_copy(update=changes), path.parent).values()
     return plan
 
 
-def take_poses(plan: Planned) -> PlannedPoses:
+def take_poses(plan: DesignVariant) -> PlannedPoses:
     """Return where a plan measures."""
     data = plan.variant.data
     return PlannedPoses(data.poses, plan.variant.start, dict(data.given))

@@ -11,7 +11,7 @@ from calibration_problems import fit_jointly
 from function_machines import point_on_lines
 from sliding_platforms import sliding_star
 
-from bayescal.calibrated.machine import CalibratedMachine, Errors, Source, build_calibrated
+from bayescal.calibrated.machine import CalibratedMachine, CommandErrors, Source, build_calibrated
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.terms import NO_ERRORS
@@ -97,7 +97,7 @@ def calibrate(planned: Planned, n_poses: int, rng: np.random.Generator, n_draws:
     covariance = np.linalg.inv(-posterior.gradient(y)[1])
     draws = posterior.theta(rng.multivariate_normal(y, covariance, n_draws, method="cholesky"))
     own = model.select(model.commanded)
-    errors = Errors(np.diag(every[0, own] ** 2), np.zeros(len(own)))
+    errors = CommandErrors(np.diag(every[0, own] ** 2), np.zeros(len(own)))
     bounds = np.stack([planned.low, planned.high])
     return build_calibrated(model, draws.mean(axis=0), draws, errors, SOURCE, values[:, own], given, bounds)
 

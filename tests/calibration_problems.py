@@ -14,7 +14,7 @@ from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import Errors, ErrorTerm, ModelErrorTerm, NoiseFactor
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm, ModelErrorTerm, NoiseFactor
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import LogNormalPrior, NormalPrior, Prior, SharePrior, UniformPrior
@@ -123,7 +123,7 @@ def lines_posterior(
         priors[name] = NormalPrior(0.0, LINE_WIDTH)
     pose = rng.uniform(-150.0, 150.0, (n_poses, 2))
     empty = measurements(np.zeros((n_poses, k)), sd, correlation)
-    blank = Posterior(density(model, empty, pose, 9e4), priors, Errors(terms, rows_of(nu)), {}, shared)
+    blank = Posterior(density(model, empty, pose, 9e4), priors, ErrorModel(terms, rows_of(nu)), {}, shared)
     y = rng.standard_normal(blank.n_parameters)
     values = simulate(blank, y, pose, rng)
     lack = rng.random(n_poses) < missing  # one reading each: three lines left still tell where the point is
@@ -167,7 +167,7 @@ def fit_jointly(posterior: CalibrationPosterior, y: np.ndarray, pose: np.ndarray
 
 def climb(posterior: CalibrationPosterior) -> tuple[np.ndarray, np.ndarray]:
     """Return the mode by Newton's steps from the least-squares solution, and the root of the covariance there."""
-    y = posterior.polish(posterior.approach())
+    y = posterior.refine_geometry(posterior.least_squares_start())
     for _ in range(30):
         gradient, hessian = posterior.gradient(y)
         step = np.linalg.solve(-hessian, gradient)

@@ -35,7 +35,7 @@ def write_simulation(folder: Path) -> Path:
 def write_audit(folder: Path) -> Path:
     """Write a small audit of the linear delta, without sensors to choose from; return its config."""
     path = copy_delta(folder) / "audit.toml"
-    text = path.read_text().partition("[sensor_choice]")[0].replace('method = "exchange"\n', "")
+    text = path.read_text().partition("[sensor_selection]")[0].replace('method = "exchange"\n', "")
     path.write_text(text + "\n[next]\ncandidates = 20\n")
     change(path, "count = 12", "count = 4\ncandidates = 30")
     return path

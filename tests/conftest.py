@@ -19,7 +19,7 @@ from studies import snapshot
 
 from bayescal import cli
 from bayescal.config import trust
-from bayescal.experiments.frame import losses
+from bayescal.experiments.runner import losses
 from bayescal.files import manifest
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.style import RC
@@ -89,7 +89,7 @@ pytest.register_assert_rewrite("browser")
 def call(monkeypatch, capsys):
     """Return a function that calls the command line in this process: exit code, standard output, standard error."""
 
-    monkeypatch.setattr("bayescal.experiments.frame.engine.stop_workers", lambda: None)  # the next call takes them
+    monkeypatch.setattr("bayescal.experiments.runner.engine.stop_workers", lambda: None)  # the next call takes them
 
     def call_main(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["bayescal", *map(str, arguments)])
@@ -124,7 +124,7 @@ def _render_seldom():
         yield
 
 
-def _build(draw, stacked=True):
+def _build(draw):
     with rc_context():
         rcdefaults()
         rcParams.update(RC)
@@ -142,9 +142,7 @@ def pictures(monkeypatch):
 def no_pictures(monkeypatch):
     """Leave a page's pictures undrawn, which take most of its time; text and files' names are what they are."""
     for module in ("page", "pictures"):  # of reports, and of certificates
-        monkeypatch.setattr(
-            f"bayescal.report.{module}.render_picture", lambda draw, stacked=True: Picture(b"not drawn")
-        )
+        monkeypatch.setattr(f"bayescal.report.{module}.render_picture", lambda draw: Picture(b"not drawn"))
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ import numpy as np
 import telescope_machines as machines
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import Errors, KnownErrors
-from bayescal.experiments.shared.readings.seen_legs import Pads
+from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel
+from bayescal.experiments.shared.readings.instrument_poses import Pads
 from bayescal.experiments.study.readings import weigh_beside
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore
@@ -46,7 +46,7 @@ def list_free(deformation, small=False):
     return tuple(s for s in usual if s in ("l", "kappa", "u_x")) if small else usual
 
 
-def list_matrix_terms(machine, poses, covariance, with_poses) -> tuple[KnownErrors, ...]:
+def list_matrix_terms(machine, poses, covariance, with_poses) -> tuple[CorrelatedNoise, ...]:
     """Return what errors of K off its diagonal do, of covariances (30, 30), and (P, 30, 6) with those of the poses."""
     whole, pairs = np.zeros((36, 36)), np.zeros((poses.n_poses, 36, 6))
     whole[np.ix_(REST, REST)], pairs[:, REST] = covariance, with_poses
@@ -67,7 +67,7 @@ def draw_problem(model, deformation, symbols, rng, n_poses=40, shared=False, mat
     terms = machines.let_err(SCALE, shared).terms
     if deformation == "matrix":
         terms += list_matrix_terms(machine, poses, matrix_sd**2 * np.eye(30), np.zeros((n_poses, 30, 6)))
-    return Problem(theta, tau, machines.measure(machine, poses, priors, Errors(terms)).anchored())
+    return Problem(theta, tau, machines.measure(machine, poses, priors, ErrorModel(terms)).with_pose_guesses())
 
 
 def _simulate(machine, theta, actuators, tau, matrix_sd, rng):

@@ -5,7 +5,7 @@ in sampling coordinates, and what it was at 20 points: the mode, 13 points about
 from a seed by the posterior's name. `measure` gets at a posterior by the public construction alone, config, inputs,
 posterior, one function per kind of experiment: where these change, the frozen numbers stay.
 
-The file is made anew, by code whose numbers are trusted, with
+The file is made again, by code whose numbers are trusted, with
 
     PYTHONPATH=tests python -m frozen_densities
 """
@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
-from bayescal.density.calibration.terms import Errors
-from bayescal.experiments.frame.load import load
+from bayescal.density.calibration.terms import ErrorModel
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.inference.mode import find_modes
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -48,7 +48,7 @@ def list_posteriors():
     for path in SHIPPED:
         config = load(ROOT / path)[1].model_copy(update={"model_error": {}})  # frozen before there was a default one
         for name, variant in read_inputs(config, (ROOT / path).parent).variants.items():
-            found[f"{path}: {name}"] = lambda variant=variant: variant.posterior().anchored()
+            found[f"{path}: {name}"] = lambda variant=variant: variant.posterior().with_pose_guesses()
     path = ROOT / "experiments/sliding_star/study.toml"
     variant = read_inputs(load(path)[1], path.parent).variants["s8"]
     for kernel in ("linear", "smooth"):
@@ -77,7 +77,7 @@ def build_with_functions(variant, kernel):
         kernel, 5.0, None, places, Travel("reading", places, home, travel), reach, 1 - length.astype(int), scale, 0.05,
         ("s", "phi"), units,
     )  # fmt: skip
-    return replace(variant.posterior(), errors=Errors((functions,)))
+    return replace(variant.posterior(), errors=ErrorModel((functions,)))
 
 
 def draw_points(name, mode, scale):
@@ -133,7 +133,7 @@ def read_frozen():
 
 
 def write_frozen():
-    """Make the file anew."""
+    """Make the file again."""
     lines = []
     for name, build in list_posteriors().items():
         posterior = build()

@@ -8,7 +8,7 @@ import numpy as np
 import tiny_experiments
 from papers import YU as HEXAPOD
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from yu2023.schema import HexapodCalibrationsConfig
 from yu2023.setup import Setup, read_setup
 

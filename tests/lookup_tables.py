@@ -41,7 +41,7 @@ sensors = { q = { noise_um = 1.0 }, x = { noise_um = 5.0 } }
 parameters.zero = { prior = "normal", sd = 1.0 }
 parameters.sag = { prior = "normal", sd = 0.1 }
 parameters.growth = { prior = "normal", sd = 0.01 }
-origin = { status = "simulated", text = "a carriage that nobody has" }
+provenance = { status = "simulated", text = "a carriage that nobody has" }
 variants = [{ name = "all", title = "All" }]
 sampler = { ensembles = 4, walkers = 16, burn_in = 10, steps = 20 }
 evidence = { draws = 1000, max_draws = 1000 }
@@ -54,33 +54,33 @@ study = "study.toml"
 axes = { elevation_deg = [0.0, 45.0, 90.0], temperature_c = [0.0, 20.0] }
 reference = { elevation_deg = 90.0, temperature_c = 10.0 }
 plan = { measurements = 3, poses = 2 }
-force = true
+allow_unconverged = true
 """
 AXES = "elevation_deg = [0.0, 45.0, 90.0]\ntemperature_c = [0.0, 20.0]\n"
 
 
 def write_small(folder: Path, n_poses: int = 6) -> Path:
-    """Write machine, data, calibration and table to a folder; return the table's config, which forces what is found."""
+    """Write machine, data, calibration and table to a folder; return the table's config, which takes what is found."""
     shutil.copy(SHIPPED / "machine.toml", folder)
     for name in ("simulate", "study"):
         text = re.sub(r"(?m)^b_[xyz] = .*\n", "", (SHIPPED / f"{name}.toml").read_text())
         (folder / f"{name}.toml").write_text(text)
-    change(folder / "simulate.toml", "n_poses = 30\nverification_poses = 10", f'n_poses = {n_poses}\ncommon = ["c"]')
+    change(folder / "simulate.toml", "n_poses = 30\nn_verification_poses = 10", f'n_poses = {n_poses}\ntied = ["c"]')
     study = folder / "study.toml"
     text = re.sub(r'(?s)\[\[variants\]\]\nname = "weight"\n.*?\n\n', "", study.read_text())
     for key, value in LITTLE.items():
         text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
-    study.write_text(text.replace('expansion"\n', 'expansion"\ncommon = ["c"]\n'))
+    study.write_text(text.replace('expansion"\n', 'expansion"\ntied = ["c"]\n'))
     write_data(folder)
     table = re.sub(r"(?s)\[axes\].*?\n\n", f"[axes]\n{AXES}\n", (SHIPPED / "table.toml").read_text())
     table = table.replace("measurements = 10\nposes = 10", "measurements = 3\nposes = 2")
     path = folder / "table.toml"
-    path.write_text(table.replace('variant = "weight_temperature"\n', "force = true\n"))
+    path.write_text(table.replace('variant = "weight_temperature"\n', "allow_unconverged = true\n"))
     return path
 
 
 def write_rail(folder: Path) -> Path:
-    """Write the table of a carriage of one coordinate, a machine of one's own; return its config."""
+    """Write the table of a carriage of one coordinate, a user-defined machine; return its config."""
     (folder / "rail.py").write_text(RAIL)
     (folder / "machine.toml").write_text('kind = "rail.py:Rail"\nname = "rail"\n')
     (folder / "study.toml").write_text(RAIL_STUDY)

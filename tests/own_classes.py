@@ -153,7 +153,7 @@ title = "Own criterion and method"
 seed = 5
 machine = "mechanism.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "for the tests"
 
@@ -173,7 +173,7 @@ kind = "own.py:Tracker"
 noise_um = 10.0
 
 [domain]
-within = "actuators"
+kind = "actuators"
 
 [candidates]
 count = 30

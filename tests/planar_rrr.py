@@ -1,6 +1,6 @@
 """A planar 3-RRR as somebody writes it: one class, whose arccos has no value out of reach; and a study of it.
 
-The file stands beside a config as a machine of one's own, and tests import it.
+The file stands beside a config as a user-defined machine, and tests import it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ title = "A planar 3-RRR seen by a camera"
 seed = 1
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "one machine drawn within its tolerances"
 

@@ -15,12 +15,12 @@ from sliding_platforms import WORKSPACE, sliding_star
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings import Channel, Coordinate, FunctionModel, Given, ReadingModel, Readings
-from bayescal.machines.readings.base import NOTHING
+from bayescal.machines.readings.base import NO_CONDITIONS
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 
@@ -96,7 +96,7 @@ def small_posterior(
     for place in np.flatnonzero(scale):
         name, nominal = model.layout.names[place], float(model.layout.nominal[place])
         priors.setdefault(shared.get(name, name), NormalPrior(nominal, float(scale[place])))
-    return Posterior(likelihood, priors, Errors(terms), common=tied)
+    return Posterior(likelihood, priors, ErrorModel(terms), common=tied)
 
 
 def star_density(
@@ -194,10 +194,10 @@ class JointTarget:
     def newton(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.gradient(y)
 
-    def approach(self) -> np.ndarray:
-        return self.polish(np.zeros(self.n_parameters))
+    def least_squares_start(self) -> np.ndarray:
+        return self.refine_geometry(np.zeros(self.n_parameters))
 
-    def polish(self, y: np.ndarray) -> np.ndarray:
+    def refine_geometry(self, y: np.ndarray) -> np.ndarray:
         own = self.posterior.n_parameters
         prior = np.eye(own, len(y))
         return least_squares(
@@ -208,7 +208,7 @@ class JointTarget:
             ftol=1e-14,
         ).x
 
-    def jumps(self, y: np.ndarray) -> list:
+    def mode_candidates(self, y: np.ndarray) -> list:
         return []
 
     def funnel_errors(self, y: np.ndarray) -> np.ndarray:
@@ -220,13 +220,13 @@ class JointTarget:
     def curved_ridges(self) -> list:
         return []
 
-    def finer(self) -> None:
+    def exact(self) -> None:
         return None
 
     def linear_geometry(self, y: np.ndarray) -> None:
         return None
 
-    def funnel(self, y: np.ndarray) -> None:
+    def scale_dependence(self, y: np.ndarray) -> None:
         return None
 
 
@@ -249,11 +249,11 @@ class LinearModel(ReadingModel):
     def coordinates(self) -> tuple[Coordinate, ...]:
         return tuple(Coordinate(f"v{k}", "mm") for k in range(self.by_pose.shape[1]))
 
-    def read(self, theta: np.ndarray, pose: np.ndarray, given: Given = NOTHING) -> np.ndarray:
+    def read(self, theta: np.ndarray, pose: np.ndarray, given: Given = NO_CONDITIONS) -> np.ndarray:
         return self.take(pose @ self.by_pose.T + theta @ self.by_parameters.T)
 
     def linearise(
-        self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True, given: Given = NOTHING
+        self, theta: np.ndarray, pose: np.ndarray, with_parameters: bool = True, given: Given = NO_CONDITIONS
     ) -> Readings:
         values = pose @ self.by_pose.T + theta @ self.by_parameters.T
         shapes = [np.broadcast_to(x, (*values.shape[:-1], *x.shape)) for x in (self.by_pose, self.by_parameters)]

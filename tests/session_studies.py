@@ -28,9 +28,9 @@ matrix = "deformation_matrix.csv"
 l = {{ prior = "normal", sd = 2.0 }}
 
 [model_error]
-terms = ["independent"]
-scale_um = 10.0
-per_leg = false
+terms = ["random"]
+random_scale_um = 10.0
+separate_by_leg = false
 
 [[variants]]
 model = "six_pus"
@@ -45,13 +45,13 @@ title = "Sessions"
 seed = 3
 study = "study.toml"
 variant = "six_pus/none"
-origin = { status = "simulated", text = "for the tests" }
+provenance = { status = "simulated", text = "for the tests" }
 draws = 500
 
 [drift]
 symbols = ["l"]
 scale_um = 20.0
-per_leg = false
+separate_by_leg = false
 """
 
 THERMAL = """
@@ -66,14 +66,14 @@ def write_sessions(folder: Path, thermal: bool = True) -> Path:
     studies.write_texts(folder, _make_texts())
     text = SESSIONS + (THERMAL if thermal else "")
     for k, warm in enumerate(WARM, start=1):
-        text += f'[[sessions]]\nlabel = "S{k}"\nday = {30.0 * k}\ntargets = "data/{k}/targets.csv"\n'
+        text += f'[[sessions]]\nlabel = "S{k}"\ntime_days = {30.0 * k}\ntargets = "data/{k}/targets.csv"\n'
         text += f'actuators = "data/{k}/actuators.csv"\n' + (f"temperature_celsius = {warm}\n" if thermal else "")
     (folder / "sessions.toml").write_text(text)
     return folder / "sessions.toml"
 
 
 def write_other_machine(folder: Path) -> None:
-    """Put another machine's measurement in place of the second session's."""
+    """Put another machine's measurement instead of the second session's."""
     data = _simulate(OFFSETS[::-1] - 1.0, 9)
     studies.write_texts(folder, {f"data/2/{name}": text for name, text in data.items()})
 

@@ -17,15 +17,15 @@ from bayescal.machines.kinematics import guess_home_pose
 from bayescal.machines.read import load_mechanism
 
 EFFORT = {"ensembles": "4", "walkers": "24", "burn_in": "3", "steps": "40", "draws": "1000", "max_draws": "1000"}
-OF_LEGS = {"walkers": "32", "burn_in": "5", "factor": "[1.0]", "per_leg": "false"}
+OF_LEGS = {"walkers": "32", "burn_in": "5", "prior_width_factors": "[1.0]", "separate_by_leg": "false"}
 
 
 @dataclass(frozen=True)
 class Written:
-    """A machine's folder with ``study.toml``, ``next.toml``, ``sessions.toml`` and ``table.toml``.
+    """A machine's folder with ``study.toml``, ``next_pose.toml``, ``sessions.toml`` and ``table.toml``.
 
     ``variant`` is the one that is used, ``together`` the study with all kinds of errors, ``commands`` the table of what
-    actuators did, ``coordinates`` the columns that say where the machine is, ``recheck`` the options that say what a
+    actuators did, ``coordinates`` the columns that say where the machine is, ``verify`` the options that say what a
     pose is measured with, ``rigid`` the variant for formats of rigid platforms.
     """
 
@@ -34,7 +34,7 @@ class Written:
     together: Path
     commands: Path
     coordinates: tuple[str, ...]
-    recheck: tuple[object, ...] = ()
+    verify: tuple[object, ...] = ()
     rigid: str = ""
 
 
@@ -47,7 +47,7 @@ seed = {seed}
 """
 STUDY = """machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "one machine drawn within its tolerances"
 
@@ -56,7 +56,7 @@ file = "data/readings.csv"
 """
 SIMULATION = """machine = "machine.toml"
 n_poses = {n_poses}
-origin = {{ status = "simulated", text = "Simulated for the tests, never measured" }}
+provenance = {{ status = "simulated", text = "Simulated for the tests, never measured" }}
 """
 VARIANTS = """
 [[variants]]
@@ -86,15 +86,15 @@ TOGETHER = """
 name = "together"
 title = "Noise by group, model error, functions and outliers"
 free = {few}
-robust = 4.0
+student_t_dof = 4.0
 
-[unknown_noise]
+[noise_factor_log_sd]
 {own} = 0.5
 
 [model_error]
 {own} = {{ scale = {scale} }}
 
-[errors.drives]
+[error_terms.drives]
 channels = ["{own}"]
 kernel = "quadratic"
 {function}
@@ -102,14 +102,14 @@ kernel = "quadratic"
 NEXT = """study = "study.toml"
 variants = ["{variant}"]
 draws = 200
-ahead = 3
+horizon = 3
 
 [requirements]
 {required} = {limit}
 """
 SESSIONS = """study = "study.toml"
 variant = "{variant}"
-origin = {{ status = "simulated", text = "for the tests" }}
+provenance = {{ status = "simulated", text = "for the tests" }}
 draws = 1000
 
 [drift]
@@ -139,10 +139,10 @@ def _write_questions(
     folder: Path, variant: str, next_pose: str, drift: str, files: Mapping[str, Sequence[str]]
 ) -> None:
     """Write what is asked of a study: the next pose, two sessions of every second of its rows each, a table."""
-    (folder / "next.toml").write_text(f'name = "next_pose"\ntitle = "Tiny"\nseed = 1\n{next_pose}')
+    (folder / "next_pose.toml").write_text(f'name = "next_pose"\ntitle = "Tiny"\nseed = 1\n{next_pose}')
     text = SESSIONS.format(variant=variant, drift=drift)
     for half in (0, 1):
-        text += f'\n[[sessions]]\nlabel = "{half + 1}"\nday = {30.0 * half}\n'
+        text += f'\n[[sessions]]\nlabel = "{half + 1}"\ntime_days = {30.0 * half}\n'
         for key, names in files.items():
             halves = [_halve(folder / name, half) for name in names]
             text += f"{key} = {halves if key == 'readings' else halves[0]!r}\n".replace("'", '"')
@@ -184,7 +184,7 @@ class Readings:
     coordinates: tuple[str, ...] = ("x_mm", "y_mm", "z_mm")
     n_poses: int = 16
     turns: bool = False
-    recheck: tuple[object, ...] = ()
+    verify: tuple[object, ...] = ()
 
     def write(self, folder: Path) -> Written:
         """Write the machine, its readings and all configs."""
@@ -193,7 +193,7 @@ class Readings:
         asked = NEXT.format(variant="whole", required=self.required, limit=1.0) + "\n[candidates]\ncount = 20\n"
         _write_questions(folder, "whole", asked, drift, {"readings": ["data/readings.csv"]})
         commands = folder / "results" / "machine" / "commands_whole.csv"
-        return Written(folder, "whole", folder / "together.toml", commands, self.coordinates, self.recheck)
+        return Written(folder, "whole", folder / "together.toml", commands, self.coordinates, self.verify)
 
     def prepare(self, folder: Path) -> None:
         """Write the machine, its readings, the study and that of all errors together."""
@@ -273,7 +273,7 @@ def _noise(um: Mapping[str, float] | None = None, arcsec: Mapping[str, float] | 
     return "\n".join([*lines, *(f"{name} = {{ noise_arcsec = {value} }}" for name, value in (arcsec or {}).items())])
 
 
-INDEPENDENT = '\n[model_error]\nterms = ["independent"]\n'  # functions of the pose take most of the time
+INDEPENDENT = '\n[model_error]\nterms = ["random"]\n'  # functions of the pose take most of the time
 SEEN = {"x": 5.0, "y": 5.0, "z": 5.0}
 TURNED = {"rx": 2.0, "ry": 2.0, "rz": 2.0}
 READINGS = {
@@ -285,7 +285,7 @@ READINGS = {
         few='["l"]',
         errors=INDEPENDENT,
         required="x_V",
-        drift='symbols = ["l"]\nper_leg = false',
+        drift='symbols = ["l"]\nseparate_by_leg = false',
         more="\n[workspace]\nx = [-50.0, 250.0]\ny = [-150.0, 150.0]\nphi = [120.0, 150.0]\n",
         coordinates=("x_mm", "y_mm", "phi_rad"),
     ),
@@ -295,7 +295,7 @@ READINGS = {
         _normal(l=0.01, s0=0.5),
         own="s",
         few='["s0"]',
-        drift='symbols = ["s0"]\nper_leg = false',
+        drift='symbols = ["s0"]\nseparate_by_leg = false',
         beside=lambda folder: shutil.copy(calibrations.OWN_MACHINE / "linear_delta.py", folder),
     ),
     "arm": Readings(
@@ -305,7 +305,7 @@ READINGS = {
         own="encoder",
         few='["o"]',
         errors=INDEPENDENT,
-        drift='symbols = ["o"]\nper_leg = false',
+        drift='symbols = ["o"]\nseparate_by_leg = false',
         beside=lambda folder: shutil.copy(own_arm.__file__, folder),
         coordinates=("q1_rad", "q2_rad", "q3_rad"),
         turns=True,
@@ -317,12 +317,12 @@ READINGS = {
         own="motor",
         few='["l", "o"]',
         errors=INDEPENDENT,
-        drift='symbols = ["o"]\nper_leg = false',
-        given="\n[given]\ntemperature_c = [10.0, 30.0]\n",
+        drift='symbols = ["o"]\nseparate_by_leg = false',
+        given="\n[conditions]\ntemperature_c = [10.0, 30.0]\n",
         beside=lambda folder: (folder / "five_bar.py").write_text(FIVE_BAR),
         coordinates=("x_mm", "y_mm"),
         turns=True,
-        recheck=("--shift-of", "o", "--shift-arcsec", 60),
+        verify=("--parameters", "o", "--shift-arcsec", 60),
     ),
 }
 
@@ -332,7 +332,7 @@ PRINTER = """
 name = "rigid"
 title = "One radius"
 free = ["A_x", "A_y", "A_z", "R"]
-common = [["R[1]", "R[2]", "R[3]"]]
+tied = [["R[1]", "R[2]", "R[3]"]]
 
 [[variants]]
 name = "few"
@@ -352,7 +352,7 @@ def write_printer(folder: Path) -> Written:
     plain = "\n[model_error]\nterms = []\n\n"  # 44 poses and few steps do not do for the default one
     (folder / "study.toml").write_text(known + plain + PRINTER + SAMPLER.format(steps=40))
     together = TOGETHER.format(own="motor", few='["A_x", "A_y", "A_z"]', scale=0.1, function="scale_deg = 5.0")
-    known = re.sub(r"(?ms)^\[(unknown_noise|model_error)\].*?(?=^\[|\Z)", "", known)
+    known = re.sub(r"(?ms)^\[(noise_factor_log_sd|model_error)\].*?(?=^\[|\Z)", "", known)
     (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))
     asked = NEXT.format(variant="rigid", required="x", limit=50.0) + "\n[candidates]\ncount = 20\n"
     tables = ["data/encoders.csv", "data/positions.csv"]
@@ -382,7 +382,7 @@ def _write_legs(folder: Path, variant: str, half: float, reach: float, more: str
     """Write what is asked of a study of legs that is there, and the same legs as a machine of readings."""
     asked = NEXT.format(variant=variant, required="z", limit=1.0) + ASKED_OF_LEGS.format(half=half, reach=reach)
     files = {one: [f"data/{one}.csv"] for one in PLACES}
-    _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nper_leg = false', files)
+    _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nseparate_by_leg = false', files)
     general = Readings(
         'kind = "legs"\nname = "legs"\nmechanism = "mechanism.toml"\nmodel = "six_pus"\n',
         _noise({"rho": 1.0, **SEEN}, TURNED),

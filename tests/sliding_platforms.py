@@ -42,7 +42,7 @@ def make_content(n_legs: int, points: str = "along", turn_deg: float = 0.0) -> d
                 "guide_angle_deg": float((np.degrees(azimuth) + 90.0 + turn_deg + 180.0) % 360.0 - 180.0),
                 "length_mm": 800.0 + 10.0 * leg,
                 "platform_point_mm": [100.0 * float(np.cos(azimuth)), 100.0 * float(np.sin(azimuth))],
-                "points": points,
+                "direction": points,
             }
         )
     home = {"tool_mm": [3.0, -2.0], "angle_deg": 4.0}

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.results import Results, read_results
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.results import Results, read_results
+from bayescal.experiments.runner.run import compute_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.tables import format_poses
 from bayescal.machines.kinematics import STEP_TOLERANCE
@@ -39,7 +39,7 @@ seed = 20
 machine = "mechanism.toml"
 model = "six_pus"
 
-[origin]
+[provenance]
 status = "reconstructed"
 text = "Reconstructed: simulated for the tests, never measured"
 
@@ -62,7 +62,7 @@ actuator_um = 1.0
 [targets]
 base = [{ count = 5, radius_mm = 190.0, height_mm = 0.0 }, { count = 2, radius_mm = 150.0, height_mm = 60.0 }]
 platform = [{ count = 5, radius_mm = 100.0, height_mm = 20.0 }, { count = 2, radius_mm = 90.0, height_mm = 60.0 }]
-per_pad = 2
+targets_per_pad = 2
 pad_radius_mm = 12.0
 
 [measurement_frame]
@@ -72,7 +72,7 @@ angle_deg = 60.0
 
 DATA = """machine = "mechanism.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "for the tests"
 
@@ -101,9 +101,9 @@ kappa = {{ prior = "normal", sd = 0.01 }}
 b_z = {{ prior = "fixed", offset = 0.0 }}
 
 [model_error]
-terms = ["independent"]
-scale_um = 10.0
-per_leg = false
+terms = ["random"]
+random_scale_um = 10.0
+separate_by_leg = false
 
 [[variants]]
 model = "six_pus"
@@ -129,7 +129,7 @@ max_draws = 1000
 draws = 100
 
 [sensitivity]
-factor = [1.0]
+prior_width_factors = [1.0]
 """
 
 BY_TARGETS = """targets = "data/targets.csv"
@@ -137,7 +137,7 @@ actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"
 target_noise_um = 3.0
 """
-BY_POSES = """measurement = "poses"
+BY_POSES = """instrument = "poses"
 poses = "data/poses.csv"
 actuators = "data/actuators.csv"
 """
@@ -252,14 +252,14 @@ def feed_poses(path: Path) -> str:
     """Return the poses that a study of targets found as the text of a table of poses."""
     inputs = load_study(path)
     assert inputs.seen is not None
-    return format_poses(inputs.seen.measured, inputs.config.origin)
+    return format_poses(inputs.seen.measured, inputs.config.provenance)
 
 
 def copy_small(config: Path, folder: Path) -> Path:
     """Copy an experiment's folder and shrink the sampler of one of its configs; return the copy."""
     shutil.copytree(config.parent, folder, dirs_exist_ok=True)
     small = {"walkers": 8, "burn_in": 1, "steps": 4, "draws": 1000, "max_draws": 1000, "repeats": 2}
-    lists = {"factor": "[1.0]", "n_targets": "[6, 8]"}
+    lists = {"prior_width_factors": "[1.0]", "n_targets": "[6, 8]"}
     text = config.read_text().replace('"../', f'"{config.parents[1]}/')
     for key, value in (small | lists).items():
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)

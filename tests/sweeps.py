@@ -14,8 +14,8 @@ from pydantic import Field
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Positive, Section
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.results import Results
 from bayescal.report.blocks import Page, make_section
 
 
@@ -81,7 +81,7 @@ experiment = "tiny.toml"
 key = "noise.tracker_um"
 label = "tracker's noise"
 unit = "µm"
-between = [1.0, 100.0]
+range = [1.0, 100.0]
 count = 5
 scale = "log"
 
@@ -110,4 +110,4 @@ def write(folder: Path, more: str = "", sweep: str = SWEEP, counted: bool = Fals
 
 def write_apart(folder: Path) -> Path:
     """Write a sweep that keeps its members for itself."""
-    return write(folder, sweep=SWEEP.replace("[[axes]]", 'cache = ""\n\n[[axes]]', 1))
+    return write(folder, sweep=SWEEP.replace("[[axes]]", 'cache_dir = ""\n\n[[axes]]', 1))

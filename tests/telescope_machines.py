@@ -16,8 +16,8 @@ import numpy as np
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import RowPositions
-from bayescal.density.calibration.model_error import IndependentErrors, OwnChannels, build_model_error
-from bayescal.density.calibration.terms import NO_ERRORS, Errors, ErrorTerm
+from bayescal.density.calibration.model_error import OwnChannelRows, RandomTerm, build_model_error
+from bayescal.density.calibration.terms import NO_ERRORS, ErrorModel, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.experiments.shared.leg_readings import place_legs
@@ -102,7 +102,7 @@ def build_random_mechanism(n_legs: int, seed: int) -> Mechanism:
 
 
 def put_on_struts(mechanism: Mechanism) -> Mechanism:
-    """Return a machine with struts in place of a machine's legs at home."""
+    """Return a machine with struts instead of a machine's legs at home."""
     still = np.zeros_like(mechanism.directions)
     return replace(mechanism, base_points=mechanism.home_joints, directions=still, drive="strut")
 
@@ -218,12 +218,14 @@ def simulate_poses(
     return place_poses(machine, theta, actuators, error)
 
 
-def let_err(scale: float | None = 0.01, shared: bool = False, outliers: Outliers = NORMAL, n_legs: int = 6) -> Errors:
+def let_err(
+    scale: float | None = 0.01, shared: bool = False, outliers: Outliers = NORMAL, n_legs: int = 6
+) -> ErrorModel:
     """Return errors of legs of an unknown size, half normal in mm, each leg's or all alike; none without a scale."""
     every, levers = np.arange(n_legs + 6) < n_legs, np.ones(n_legs + 6)
     legs = {"tau": every} if shared else {f"tau[{k + 1}]": np.arange(n_legs + 6) == k for k in range(n_legs)}
-    terms = [IndependentErrors(name, own, scale, "mm", levers) for name, own in legs.items()] if scale else []
-    return Errors(tuple(terms), outliers)
+    terms = [RandomTerm(name, own, scale, "mm", levers) for name, own in legs.items()] if scale else []
+    return ErrorModel(tuple(terms), outliers)
 
 
 def let_functions_err(
@@ -237,7 +239,7 @@ def let_functions_err(
     used = np.ones(poses.n_poses, dtype=bool)
     expected = model.read(model.layout.nominal, list_coordinates(poses))
     positions = RowPositions.find(model.channels, data, expected, home)
-    own = OwnChannels.find(model, data, list_coordinates(poses), used, positions, reach)
+    own = OwnChannelRows.find(model, data, list_coordinates(poses), used, positions, reach)
     return build_model_error(own, n + 6, sorts, (0.01, scale), {}, each=False, few=few)
 
 
@@ -245,7 +247,7 @@ def measure(
     machine: Machine,
     poses: MeasuredPoses,
     priors: Mapping[str, Prior],
-    errors: Errors = NO_ERRORS,
+    errors: ErrorModel = NO_ERRORS,
     fixed: Mapping[str, float] | None = None,
     noise: float = ACTUATOR_NOISE,
 ) -> CalibrationPosterior:
@@ -268,7 +270,7 @@ def list_priors(machine: Machine, symbols: tuple[str, ...]) -> dict[str, Prior]:
 def build_posterior(
     deformation: str,
     poses: MeasuredPoses,
-    errors: Errors = NO_ERRORS,
+    errors: ErrorModel = NO_ERRORS,
     symbols: tuple[str, ...] | None = None,
     machine: Machine | None = None,
 ) -> CalibrationPosterior:

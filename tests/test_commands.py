@@ -11,7 +11,7 @@ import studies
 
 import bayescal
 from bayescal.config.registry import REGISTRIES, list_references
-from bayescal.experiments.frame.load import TITLES, list_entries
+from bayescal.experiments.runner.load import TITLES, list_entries
 
 
 def test_version(call):

@@ -43,12 +43,12 @@ def truth(monkeypatch):
         linear,
         machines,
         projects,
-        recheck,
         scores,
         simulated,
+        verify,
     )
 
-    of_runs = {"cost": cost, "projects": projects, "recheck": recheck, "scores": scores}
+    of_runs = {"cost": cost, "projects": projects, "verify": verify, "scores": scores}
     of_twins = {"errors": errors, "functions": functions, "machines": machines, "simulated": simulated}
     return SimpleNamespace(command=__main__, linear=linear, **of_runs, **of_twins)
 
@@ -265,7 +265,7 @@ seed = 1
 machine = "machine.toml"
 variants = [{{ model = "{model}", sensors = ["i"] }}]
 noise = {{ actuator_um = {actuators} }}
-poses = {{ plan = "file", configurations = "moves.csv" }}
+poses = {{ sampling = "file", configurations = "moves.csv" }}
 model_error = {{ expected_um = {expected} }}
 
 [sensors.i]
@@ -367,13 +367,13 @@ def test_the_default_keeps_the_goal_where_the_model_is_right(truth, name):
     assert reaches(directions), directions
 
 
-# --- rechecks ----------------------------------------------------------------------------------------------------
+# --- reverifications ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.runs
 def test_commanded_twins_stand_where_they_read_the_command(truth, tmp_path):
     """And err there by the function that they erred by when they were calibrated."""
-    case = truth.recheck.calibrate("delta", "cross", 1.0, 5, tmp_path)
+    case = truth.verify.calibrate("delta", "cross", 1.0, 5, tmp_path)
     machine, twin, n = case.machine, case.twin, case.machine.n_actuators
     session = case.measure(case.commands, 0.0, 0, np.random.default_rng(3))[0]
     v = machine.solve(twin.theta, case.commands)
@@ -387,26 +387,26 @@ def test_commanded_twins_stand_where_they_read_the_command(truth, tmp_path):
 
 
 @pytest.mark.runs
-def test_rechecks_are_written_line_by_line(truth, tmp_path, monkeypatch):
-    path = tmp_path / "recheck.csv"
-    words = ["recheck", "none", "--machine", "delta", "--twins", "1", "--times", "1", "--out", str(path)]
+def test_reverifications_are_written_line_by_line(truth, tmp_path, monkeypatch):
+    path = tmp_path / "plan.csv"
+    words = ["verify", "none", "--machine", "delta", "--twins", "1", "--times", "1", "--out", str(path)]
     for _ in range(2):  # lines are replaced
         monkeypatch.setattr("sys.argv", [*words, "--keep", str(tmp_path)])
-        truth.recheck.main()
+        truth.verify.main()
     table = pd.read_csv(path)
     assert table[["machine", "row", "poses"]].to_numpy().tolist() == [
         ["delta", "none", "planned"],
         ["delta", "none", "calibration"],
     ]
-    assert table["rechecks"].tolist() == [1, 1]
+    assert table["reverifications"].tolist() == [1, 1]
     assert (table["resolved_um"] > 1.0).all()
 
 
 @pytest.mark.slow
-def test_rechecks_hold_on_machines_that_err(truth, tmp_path):
+def test_reverifications_hold_on_machines_that_err(truth, tmp_path):
     """At most 2 % false alarms, 95 % of shifts found; not so where errors are taken for random ones, or ignored."""
-    cases = {seed: truth.recheck.calibrate("hexapod", "cross", 1.0, seed, tmp_path) for seed in (2000, 2001)}
-    table = pd.DataFrame([line for seed, case in cases.items() for line in truth.recheck.judge_twin(case, 10, seed)])
+    cases = {seed: truth.verify.calibrate("hexapod", "cross", 1.0, seed, tmp_path) for seed in (2000, 2001)}
+    table = pd.DataFrame([line for seed, case in cases.items() for line in truth.verify.judge_twin(case, 10, seed)])
     most, least = binom.ppf(0.99, len(table), 0.02), binom.ppf(LEVEL, len(table), 0.95)
     assert (table["alarm"] | table["odd"]).sum() <= most
     assert table["found"].sum() >= least
@@ -437,8 +437,8 @@ def widen_some(rng, n):
 
 NOISE = {
     "plain": ("", lambda _, n: np.ones(n)),
-    "robust": (f"robust = {FREEDOM}", widen_by_t),
-    "outliers": (f"outlier_share = {SHARE}", widen_some),
+    "robust": (f"student_t_dof = {FREEDOM}", widen_by_t),
+    "outliers": (f"outlier_fraction = {SHARE}", widen_some),
 }
 
 
@@ -449,7 +449,7 @@ def find_factors(truth, row, seed, folder):
     truth.projects.write_project("delta", machine, "init", folder)
     text = (folder / "study.toml").read_text().replace('Everything free"\n', f'Everything free"\n{says}\n')
     unknown = "".join(f"{name} = {SPREAD}\n" for name in GROUPS)
-    (folder / "study.toml").write_text(f"{text}\n[model_error]\nterms = []\n\n[unknown_noise]\n{unknown}")
+    (folder / "study.toml").write_text(f"{text}\n[model_error]\nterms = []\n\n[noise_factor_log_sd]\n{unknown}")
     theta = machine.nominal + machine.sd * rng.standard_normal(machine.nominal.size)
     v, factors = machine.draw_poses(theta, n, rng), SPREAD * rng.standard_normal(len(GROUPS))
     sizes = np.repeat(np.exp(factors), [len(channels) for channels in GROUPS.values()])

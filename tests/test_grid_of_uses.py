@@ -19,7 +19,7 @@ import pytest
 from html_reader import leave_out_script
 from seven_machines import MACHINES, Written
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.experiments.study.page.build import BLOCKS
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.report.blocks import Page
@@ -84,8 +84,8 @@ class Use:
 
     @property
     def of_machine(self) -> tuple[object, ...]:
-        """Return options of commands that take a calibrated machine: of its tiny run, by force."""
-        return ("--variant", self.place.written.variant, "--trust-code", "--force")
+        """Return options of commands that take a calibrated machine: of its tiny run, converged or not."""
+        return ("--variant", self.place.written.variant, "--trust-code", "--allow-unconverged")
 
     def refuse(self, reason: str, *arguments: object) -> None:
         """Call a command that has to be refused in one line for a reason, with nothing written."""
@@ -184,7 +184,7 @@ def combine_errors(use: Use) -> None:
     found = read(results / "tables" / "parameters.csv", "mean", "sd")
     kinds = {name.partition("(")[0] for name in found["parameter"]}
     assert {"noise_factor", "model_error", "sigma_g"} <= kinds
-    assert read(results / "tables" / "variants.csv", "log_evidence", "elpd_loo")["robust"].all()
+    assert read(results / "tables" / "variants.csv", "log_evidence", "elpd_loo")["has_outliers"].all()
     if 'kind = "legs"' in use.cell:
         code, said, complaint = use.call("compare", use.place.results, results)
         assert (code, said, complaint.count("\n")) == (2, "", 1)
@@ -197,20 +197,20 @@ def validate(use: Use) -> None:
     assert len(re.findall(r"combinations? of parameters will be determined", said)) == 2, said
 
 
-def check(use: Use) -> None:
+def selftest(use: Use) -> None:
     """Look for the usual faults, and simulate from prior and posterior."""
     variant = use.place.written.variant
     options = ("--variant", variant, "--data-sets", 4, "--seed", 2, "--workers", 1)
     study = use.folder / "study.toml"
     if 'status = "measured"' in study.read_text():  # a real machine has errors that its model has not
-        code, _, complaint = use.call("check", study, *options, "--out", use.out)
+        code, _, complaint = use.call("selftest", study, *options, "--out", use.out)
         assert code in (0, 3), complaint
-        found = read(use.out / "tables" / "findings.csv")
+        found = read(use.out / "tables" / "checks.csv")
         assert set(found.loc[found["level"] != "good", "fault"].dropna()) <= {"model error"}
         return
-    use.run("check", study, *options, "--out", use.out)
-    found = read(use.out / "tables" / "findings.csv")
-    by_ranks = found["check"].str.startswith("Simulated")  # of four data sets, which are no verdict
+    use.run("selftest", study, *options, "--out", use.out)
+    found = read(use.out / "tables" / "checks.csv")
+    by_ranks = found["subject"].str.startswith("Simulated")  # of four data sets, which are no verdict
     assert set(found.loc[~by_ranks, "level"]) == {"good"}
     assert set(found.loc[by_ranks, "level"]) == {"warning"}
     assert len(read(use.out / "tables" / "ranks.csv")) == 8
@@ -218,7 +218,7 @@ def check(use: Use) -> None:
 
 def ask_next(use: Use) -> None:
     """Name the next pose, and say whether to stop."""
-    use.run("next", use.folder / "next.toml", "--out", use.out, "--workers", 1)
+    use.run("next-pose", use.folder / "next_pose.toml", "--out", use.out, "--workers", 1)
     poses = read(use.out / "next_poses.csv")
     assert np.isfinite(poses.select_dtypes("number").to_numpy()).all()
     assert json.loads((use.out / "summary.json").read_text())["decision"] in ("stop", "measure")
@@ -242,8 +242,8 @@ def predict_and_command(use: Use) -> None:
     found = read(poses, *where)
     known = [name for name in given if name in found and name not in ("pose", *where)]
     found[["pose", *where, *known]].to_csv(wanted, index=False)
-    use.take("command", wanted, "--out", commands)
-    use.take("command", poses, "--out", again)  # the table as predicted
+    use.take("compensate", wanted, "--out", commands)
+    use.take("compensate", poses, "--out", again)  # the table as predicted
     pd.testing.assert_frame_equal(read(again), read(commands), atol=1e-6)
     use.take("predict", commands, "--out", again)
     np.testing.assert_allclose(read(again)[list(where)], found[list(where)], rtol=0, atol=1e-5)
@@ -255,7 +255,7 @@ def export(use: Use) -> None:
     assert "parameters" in use.cell
     for one in (*named, *PARAMETERS):
         variant = use.place.written.rigid if one in named else use.place.written.variant
-        options = ("--variant", variant, "--trust-code", "--force", "--format", one)
+        options = ("--variant", variant, "--trust-code", "--allow-unconverged", "--format", one)
         use.run("export", use.place.results, *options, "--out", use.out / one)
         covariance = [path for path in (use.out / one).iterdir() if path.name == "covariance.csv"]
         assert np.isfinite(pd.read_csv(covariance[0], comment="#", index_col=0).to_numpy(dtype=float)).all()
@@ -281,19 +281,19 @@ def certify(use: Use) -> None:
     assert without in page
 
 
-def recheck(use: Use) -> None:
+def verify(use: Use) -> None:
     """Plan the fewest poses; where the cell says that own sensors show nothing, they are refused."""
-    use.take("recheck", *use.place.written.recheck, "--out", use.out / "plan.csv")
+    use.take("verify", *use.place.written.verify, "--out", use.out / "plan.csv")
     read(use.out / "plan.csv")
     alone = re.search(r"not by its (\w+)s alone: (.*)", use.cell)
     if alone:
         (use.out / "plan.csv").unlink()
-        use.refuse(alone[2], "recheck", use.place.results, *use.of_machine, "--sensors", alone[1])
+        use.refuse(alone[2], "verify", use.place.results, *use.of_machine, "--sensors", alone[1])
 
 
 def tabulate(use: Use) -> None:
     """A table by what is given beside the pose."""
-    options = ("--force", "--out", use.out / "table", "--workers", 1)
+    options = ("--allow-unconverged", "--out", use.out / "table", "--workers", 1)
     if use.cell.startswith(REFUSED):
         use.refuse(use.cell.removeprefix(REFUSED), "table", use.folder / "table.toml", *options)
         return
@@ -307,13 +307,13 @@ USES = {
     "leave-one-out, stacking, prior and data sensitivity": predict_rows,
     "errors: noise by group, model error, functions, outliers, together": combine_errors,
     "`validate`: what the data can determine": validate,
-    "`check`": check,
-    "`next`": ask_next,
+    "`selftest`": selftest,
+    "`next-pose`": ask_next,
     "`sessions`": join_sessions,
-    "`predict`, `command`": predict_and_command,
+    "`predict`, `compensate`": predict_and_command,
     "`export`": export,
     "`certificate`": certify,
-    "`recheck`": recheck,
+    "`verify`": verify,
     "`table`": tabulate,
 }
 CELLS = [pytest.param(machine, row, id=f"{USES[row].__name__}: {machine}") for machine in MACHINES for row in USES]

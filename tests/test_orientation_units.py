@@ -11,7 +11,7 @@ from bayescal.experiments.simulation.schema import PoseInstrumentConfig
 SECTIONS = {
     PoseSensorConfig: {"kind": "pose"},
     PoseInstrumentConfig: {"kind": "poses", "position_um": 1.0},
-    PoseDataConfig: {"measurement": "poses", "poses": "p.csv", "actuator_noise_um": 1.0},
+    PoseDataConfig: {"instrument": "poses", "poses": "p.csv", "actuator_noise_um": 1.0},
 }
 
 

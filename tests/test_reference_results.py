@@ -11,8 +11,8 @@ import pytest
 from bayescal.config.registry import list_sources
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.design import load_audit, read_plans
-from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.identity import hash_identity, identify
+from bayescal.experiments.runner.load import load
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -23,7 +23,7 @@ COMMITTED = {
     "telescope_model_error": "telescope/model_error",
     "m2_hexapod": "m2_hexapod/study",
     "m2_hexapod_lengths": "m2_hexapod/lengths",
-    "m2_hexapod_next": "m2_hexapod/next",
+    "m2_hexapod_next_pose": "m2_hexapod/next_pose",
     "m2_hexapod_sensors": "sliding_star/m2_hexapod_sensors",
     "m2_hexapod_sessions": "m2_hexapod_sessions/sessions",
     "m2_hexapod_table": "m2_hexapod_table/table",
@@ -82,7 +82,7 @@ def test_evidences_agree_and_all_converged(name):
 def test_sessions_found_what_is_said():
     results = ROOT / "results" / "m2_hexapod_sessions"
     summary = json.loads((results / "summary.json").read_text())
-    assert all(summary["sound"].values())
+    assert all(summary["reliable"].values())
     legs, expansion = (pd.read_csv(results / "tables" / f"{name}.csv") for name in ("legs", "expansion"))
     whole = legs[(legs["since"] == "January") & (legs["session"] == "June")].set_index("leg").loc[3]
     page = (DOCS / "howto" / "sessions.md").read_text()
@@ -139,7 +139,7 @@ def test_python_snippet_runs(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in (ROOT / "results").glob("*/provenance.json")))
 def test_committed_results_are_whole(name):
-    """As `make seal` leaves them: without posteriors and pages, which are not committed."""
+    """As `make update-manifests` leaves them: without posteriors and pages, which are not committed."""
     tracked = json.loads((ROOT / "results" / name / "manifest.json").read_text())["sha256"]
     assert {"provenance.json", "summary.json"} <= set(tracked)
     for file, expected in tracked.items():

@@ -54,6 +54,16 @@ def test_given_examples_are_valid_and_needed(keys, examples):
     assert not given
 
 
+def test_every_column_of_every_table_is_described():
+    page = references.write_tables()
+    for kind in references.list_kinds().values():
+        for row in kind.rows:
+            assert f"### {row.table}.csv" in page
+            for one in row.list_columns():
+                assert one.meaning, f"{row.__name__}.{one.name} has no meaning"
+                assert f"`{one.name}`" in page
+
+
 def test_every_page_is_written(examples):
     for title, text, schema in references.list_schemas().values():
         assert f"# {title}" in references.write_page(title, text, schema, examples)
@@ -64,6 +74,6 @@ def test_a_page_of_a_kind_has_its_keys(examples):
     page = references.write_page("study", "", schema, examples)
     row = "| `target_noise_um` | Standard deviation of a target's coordinates.<br>`target_noise_um = 10.0` | µm |"
     assert row in page
-    assert '## `[data]` with `measurement = "poses"`' in page
+    assert '## `[data]` with `instrument = "poses"`' in page
     assert "## `[[variants]]`" in page
     assert "`[parameters.NAME]`" in page

@@ -42,7 +42,7 @@ ADDED = {
 BROKEN = ("No kind of experiment imports another", "Computation imports no page", "Pages know results")
 
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-SECTIONS = {"machine", "instrument", "error term", "page block", "kind"}
+SECTIONS = {"machine", "instrument", "error term", "page block", "sampler", "kind"}
 
 
 @pytest.mark.slow

@@ -11,10 +11,10 @@ SHIPPED = Path(__file__).parents[1] / "experiments"
 
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
-    | {"factor": "[1.0]"},
+    | {"prior_width_factors": "[1.0]"},
     "pose_methods.py:PoseMethods": {"repeats": "2", "n_targets": "[6, 8]"},
     "kind.py:HexapodCalibrations": {
-        **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
+        **{"candidates": "150", "list_length": "5", "iterations": "3", "n_verification_poses": "7", "repeats": "4"},
         **{"selections": "2", "parameter_sets": "3", "noise_draws": "4"},
     },
     "selection": {
@@ -25,16 +25,16 @@ SMALL = {
         **{"repeats": "1", "iterations": "2", "n_sets": "10", "max_iterations": "3", "list_length": "5", "count": "60"},
     },
     "self_calibrations.py:SelfCalibrations": {
-        **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
+        **{"calibrations": "6", "n_verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
     "study of tables": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
     | {"draws": "1000"},
-    "sessions": {"draws": "500", "per_leg": "false"},
-    "audit": {"simulated_calibrations": "4", "expected_over_draws": "3", "draws": "2000"}
+    "sessions": {"draws": "500", "separate_by_leg": "false"},
+    "audit": {"n_simulated_calibrations": "4", "n_prior_draws": "3", "draws": "2000"}
     | {"count": "12", "exhaustive": "0"},
 }
-"""By kind of experiment, what stands after the names of its keys in place of what is shipped."""
+"""By kind of experiment, what stands after the names of its keys instead of what is shipped."""
 
 REPLACED: dict[str, tuple[tuple[str, str], ...]] = {
     "selection": ((r"(?m)^n_poses = \[(\d+).*$", r"n_poses = [\1]"),),

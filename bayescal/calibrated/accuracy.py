@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import norm, qmc
 
-from bayescal.calibrated.drawn_machines import Aligned, draw_machines, place_drawn
+from bayescal.calibrated.drawn_machines import AlignedMachine, draw_machines, place_drawn
 from bayescal.calibrated.machine import NOISE, CalibratedMachine
 from bayescal.calibrated.predict import (
     bound_workspace,
     check_determined,
-    command_poses,
+    compensate_poses,
     find_curved,
     find_errors,
     is_pose,
@@ -31,7 +31,7 @@ from bayescal.calibrated.predict import (
 )
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.errors import InputError
-from bayescal.machines.readings.base import NOTHING, Given
+from bayescal.machines.readings.base import NO_CONDITIONS, Given
 from bayescal.numerics.geometry import Array
 
 FEWEST = 16
@@ -185,7 +185,7 @@ class Budget:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class MonteCarloSpread:
     """What Monte Carlo finds of P poses."""
 
     # (P, m): half the interval, as wide on both sides of the mean, that holds the stated share of draws
@@ -195,7 +195,7 @@ class Spread:
 
 
 def compute_budget(
-    calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING, aligned: Aligned | None = None
+    calibrated: CalibratedMachine, commands: Array, given: Given = NO_CONDITIONS, aligned: AlignedMachine | None = None
 ) -> Budget:
     """Return the covariances of the tool at commands (P, C), by source.
 
@@ -236,9 +236,9 @@ def propagate(
     coverage: float,
     n_draws: int,
     seed: int,
-    given: Given = NOTHING,
-    aligned: Aligned | None = None,
-) -> Spread:
+    given: Given = NO_CONDITIONS,
+    aligned: AlignedMachine | None = None,
+) -> MonteCarloSpread:
     """Return by Monte Carlo what holds a share of tools at commands (P, C) (JCGM 101:2008, section 7).
 
     InputError where there are no draws. ``aligned``: base and tool, whose motions are then no errors.
@@ -256,7 +256,7 @@ def propagate(
             apart = apart - aligned.move(mean.tool[part], mean.pose[part], fitted)
         half_width[part] = np.nanquantile(np.abs(apart), coverage, axis=0)
         radius[part] = np.nanquantile(np.linalg.norm(apart[..., calibrated.lengths], axis=-1), coverage, axis=0)
-    return Spread(half_width, radius, len(machines.theta))
+    return MonteCarloSpread(half_width, radius, len(machines.theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +325,7 @@ def fit_cube(calibrated: CalibratedMachine, centre: Array, most: float = np.inf)
 
     def reaches(edge: float) -> bool:
         visited = place_lengths(calibrated, centre, edge * corners)
-        return bool(command_poses(calibrated, visited, calibrated.typical(len(visited))).reached.all())
+        return bool(compensate_poses(calibrated, visited, calibrated.typical(len(visited))).reached.all())
 
     if not reaches(0.0):
         raise InputError("cube: found its centre out of reach, expected a home pose within the actuators' range")
@@ -366,7 +366,7 @@ def draw_cycles(
     n_cycles: int,
     n_draws: int,
     seed: int,
-    aligned: Aligned | None = None,
+    aligned: AlignedMachine | None = None,
 ) -> Array:
     """Return deviations of attained from commanded tools (P, m) in length by draws of the posterior, (S, P, n, d), mm.
 
@@ -374,7 +374,7 @@ def draw_cycles(
     where a pose is out of reach. ``aligned``: base and tool, whose motions are then no deviations.
     """
     rng, lengths, given = np.random.default_rng(seed), calibrated.lengths, calibrated.typical(len(poses))
-    found = command_poses(calibrated, poses, given)
+    found = compensate_poses(calibrated, poses, given)
     if not found.reached.all():
         raise InputError(f"cube: found a pose out of reach ({next(one for one in found.faults if one)}), expected none")
     noise = compute_budget(calibrated, found.commands, given).parts[NOISE][:, lengths[:, None], lengths]

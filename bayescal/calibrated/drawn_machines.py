@@ -11,7 +11,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import (
     CHUNK,
     SPREAD_POSES,
-    Place,
+    LinearisedCommands,
     check_determined,
     check_given,
     find_errors,
@@ -21,12 +21,12 @@ from bayescal.calibrated.predict import (
 )
 from bayescal.errors import InputError
 from bayescal.identifiability.alignment import Alignment, find_alignment
-from bayescal.machines.readings.base import NOTHING, Given
+from bayescal.machines.readings.base import NO_CONDITIONS, Given
 from bayescal.numerics.geometry import Array
 
 
 def draw_poses(
-    calibrated: CalibratedMachine, commands: Array, n_draws: int, rng: np.random.Generator, given: Given = NOTHING
+    calibrated: CalibratedMachine, commands: Array, n_draws: int, rng: np.random.Generator, given: Given = NO_CONDITIONS
 ) -> Array:
     """Return where draws of the posterior have their tools, each with errors of its own.
 
@@ -75,7 +75,7 @@ def place_drawn(
     drawn: DrawnMachines,
     commands: Array,
     rng: np.random.Generator,
-    given: Given = NOTHING,
+    given: Given = NO_CONDITIONS,
 ) -> Array:
     """Return where drawn machines have their tools at commands (P, C), each with other noise, (S, P, m)."""
     model, m, theta = calibrated.model, len(calibrated.model.tool_channels), drawn.theta
@@ -92,7 +92,9 @@ def place_drawn(
     return np.concatenate(tools)
 
 
-def _draw_errors(calibrated: CalibratedMachine, at: Place, drawn: DrawnMachines, rng: np.random.Generator) -> Array:
+def _draw_errors(
+    calibrated: CalibratedMachine, at: LinearisedCommands, drawn: DrawnMachines, rng: np.random.Generator
+) -> Array:
     """Return what errors of the commands move the outputs by, shape (S, P, M)."""
     errors, n = find_errors(calibrated, at), len(drawn.theta)
     values, vectors = np.linalg.eigh(np.nan_to_num(errors.independent))
@@ -108,11 +110,11 @@ def _draw_errors(calibrated: CalibratedMachine, at: Place, drawn: DrawnMachines,
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
+class AlignedMachine:
     """The mean machine at the P poses over which base and tool are aligned, all of them found."""
 
     calibrated: CalibratedMachine
-    at: Place
+    at: LinearisedCommands
     alignment: Alignment
 
     def fit(self, drawn: DrawnMachines) -> Array:
@@ -133,10 +135,10 @@ class Aligned:
         return np.asarray(np.moveaxis(self.alignment.at(tool, pose) @ fitted, -1, 0))
 
 
-def align_over(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Aligned | None:
+def align_over(calibrated: CalibratedMachine, commands: Array, given: Given = NO_CONDITIONS) -> AlignedMachine | None:
     """Return base and tool aligned over the poses of commands (P, C); None of a machine that places no tool."""
     if not calibrated.model.places_tool:
         return None
     at = place_machine(calibrated, commands, given)
     tool = at.outputs[:, : len(calibrated.model.tool_channels)]
-    return Aligned(calibrated, at, find_alignment(calibrated.model, tool, at.pose))
+    return AlignedMachine(calibrated, at, find_alignment(calibrated.model, tool, at.pose))

@@ -15,14 +15,14 @@ import numpy as np
 from pydantic import Field
 
 from bayescal.calibrated.functions import KnownFunctions, read_known
-from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, find_hindrance
+from bayescal.calibrated.machine import CalibratedMachine, CommandErrors, LegErrors, Source, find_export_obstacle
 from bayescal.calibrated.tables import read_given, read_quantities
 from bayescal.config.classes import CLASS
 from bayescal.config.load import check_section, read_toml
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.sections import InputFile, NotNegative, Number, Section
 from bayescal.config.trust import check_same, hash_file
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.manifest import check_whole
 from bayescal.files.netcdf import read_netcdf
@@ -97,7 +97,7 @@ def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     InputError where no drawings hold the machine's kinematics, or it has no level home pose any more.
     """
     machine = calibrated.legs
-    hindrance = find_hindrance(machine)
+    hindrance = find_export_obstacle(machine)
     if hindrance:
         raise InputError(f"variant {calibrated.source.variant!r}: found {hindrance}")
     check_home_pose(machine)
@@ -305,11 +305,12 @@ def _read_legs(config: ExportedConfig, folder: Path) -> Legs:
     if (matrix is None) == (config.deformation == "matrix"):
         raise InputError(f"{path}: matrix: found deformation {config.deformation!r}, expected a matrix with it alone")
     nominal = NominalDeformation(0.0, lambda: np.zeros((n_legs, n_legs)) if matrix is None else matrix)
-    return Legs(
-        build_named_machine(
-            mechanism, folder / config.mechanism, config.model, config.deformation, nominal, "model", folder
+    with name_faults(path):
+        return Legs(
+            build_named_machine(
+                mechanism, folder / config.mechanism, config.model, config.deformation, nominal, "model", folder
+            )
         )
-    )
 
 
 def _read_workspace(config: ExportedConfig, path: Path, model: ReadingModel) -> Array | None:
@@ -340,7 +341,7 @@ def _read_large(path: Path, cells: list[str]) -> Array:
     return found
 
 
-def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta: Array) -> Errors:
+def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta: Array) -> CommandErrors:
     n = len(model.commanded)
     for key, values in (("noise", config.noise), ("model_error", config.model_error)):
         if len(values) != n:
@@ -354,7 +355,7 @@ def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta:
         noise = correlation * np.outer(sd, sd)
         check_covariance(folder / CALIBRATED, model.commanded, noise)
     if not isinstance(model, Legs):
-        return Errors(noise, variance)
+        return CommandErrors(noise, variance)
     covariance = None
     if config.matrix_covariance is not None:
         covariance = read_matrix_covariance(folder / config.matrix_covariance, model.n_legs)
@@ -374,7 +375,7 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     return names, covariance
 
 
-def _read_netcdf[Found](path: Path, what: str, read: Callable[[], Found]) -> Found:
+def _read_netcdf[Result](path: Path, what: str, read: Callable[[], Result]) -> Result:
     """Return what is read of a file; InputError where it is none of what."""
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected {what} as netCDF")
@@ -445,7 +446,8 @@ def keep_machines(
     for path in machines:
         every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
     known = machines if folder is None else machines | {folder: folder.resolve()}
-    root = Path(os.path.commonpath([*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]))
+    folders = [*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]
+    root = folders[0].with_segments(os.path.commonpath([str(one) for one in folders]))
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
     return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
 
@@ -480,9 +482,11 @@ def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
         "name": mechanism.name,
         "base": {"points_mm": mechanism.base_points},
         "platform": {"points_mm": mechanism.platform_points},
-        "home": {"platform": side} if mechanism.home_position is None else {"near_mm": mechanism.home_position},
+        "home": {"platform": side}
+        if mechanism.home_position is None
+        else {"initial_guess_mm": mechanism.home_position},
         "legs": {
-            "drive": mechanism.drive,
+            "actuated_joint": mechanism.drive,
             "length_mm": mechanism.leg_lengths,
             "direction": mechanism.directions if mechanism.drive == "base" else None,
             "initial_actuator_position_mm": mechanism.initial_actuator_positions,

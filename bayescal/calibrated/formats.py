@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
-from bayescal.calibrated.machine import CalibratedMachine, find_hindrance
+from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
 from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
@@ -294,8 +294,8 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     >>> sorted(path.name for path in bc.export_machine(calibrated, Path("machines/delta"), "csv"))
     [...'covariance.csv'...]
     """
-    drawn = isinstance(calibrated.model, Legs) and not find_hindrance(calibrated.legs)
-    chosen = look_up(FORMATS, name or (MECHANISM if drawn else PARAMETERS), "--format", Path())
+    drawn = isinstance(calibrated.model, Legs) and not find_export_obstacle(calibrated.legs)
+    chosen = look_up(FORMATS, name or (MECHANISM if drawn else PARAMETERS), "--format")
     files = chosen(calibrated) | list_posterior_files(calibrated)
     make_directory(folder)
     for one, content in files.items():

@@ -1,12 +1,12 @@
 """What a calibration leaves known of errors that its model lacks: functions of the pose, together with the geometry.
 
 A machine errs the same way when it is measured again. What readings say of its geometry later, and of shifts, rests on
-what is known of its errors: at other poses these are columns Φ times coefficients c (`ThinFunctionsOfPose`) whose
+what is known of its errors: at other poses these are columns Φ times coefficients c (`LowRankGPTerm`) whose
 posterior, jointly with the parameters θ, is normal given the errors' sizes, to first order about the posterior mean,
 
     (Δθ, c) ~ N(μ, C),    C = mean of the covariances over draws of the sizes + covariance of the means.
 
-Sizes that the data hardly determine are cut off so that they count by their 90 % intervals (`Errors.limit`): their
+Sizes that the data hardly determine are cut off so that they count by their 90 % intervals (`ErrorModel.limit`): their
 mean squares would be those of a few draws.
 
 Geometry imitates a part of the errors, so that both belong together: by itself neither is known as well. What drifts in
@@ -27,14 +27,15 @@ from scipy.linalg import block_diag
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import (
-    FunctionsOfPose,
-    IndependentErrors,
-    OwnChannels,
-    ThinFunctionsOfPose,
+    GPTerm,
+    LowRankGPTerm,
+    OwnChannelRows,
+    RandomTerm,
 )
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
+from bayescal.density.linear_gaussian import condition, whiten
+from bayescal.density.pose_kernels import DRIFT, OWN_COLUMNS, POSE_KERNELS, KernelInput, PoseFunctions
 from bayescal.density.sessions import ReadingRows
-from bayescal.density.sorts import DRIFT, OWN_COLUMNS, SORTS, Place, PoseFunctions
 from bayescal.files.netcdf import read_netcdf
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -50,11 +51,11 @@ class KnownFunctions:
     """Errors of a machine's N own channels, as its calibration leaves them."""
 
     names: tuple[str, ...]  # of the channels
-    # (N,): as of `OwnChannels`
+    # (N,): as of `OwnChannelRows`
     home: Array
     range: Array
     levers: Array
-    covered: np.ndarray  # (N, N): as of `OwnChannels`, ones and zeros
+    covered: np.ndarray  # (N, N): as of `OwnChannelRows`, ones and zeros
     # (P, N) and (P,): of the rows over which functions are normalised
     travel: Array
     time: Array
@@ -63,7 +64,7 @@ class KnownFunctions:
     # (J,): sizes of a drift, each as probable as any other, in units of the root of its mean variance; ones without
     # drifts
     drifts: Array
-    # (N,): posterior mean of the variance of errors that are drawn anew at every pose, in the channels' units
+    # (N,): posterior mean of the variance of errors that are drawn independently at every pose, in the channels' units
     independent: Array
     mean: Array  # (A,): of the coefficients of all sorts but drifts, amplitudes included
     covariance: Array  # (n + A, n + A): of n numbers of the geometry and these coefficients
@@ -76,7 +77,7 @@ class KnownFunctions:
 
         None, too, where there are other errors common to all rows.
         """
-        terms = [one for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
+        terms = [one for one in posterior.errors.terms if isinstance(one, GPTerm)]
         if not terms or len(terms) < len(posterior.errors.common):
             return None
         thin, first, n_channels = _thin(posterior), terms[0].own, len(posterior.likelihood.model.channels)
@@ -85,8 +86,8 @@ class KnownFunctions:
         chosen = np.linspace(0, len(y) - 1, min(SIZES, len(y))).astype(int)
         zetas = thin.errors.limit(thin.zeta(y))[chosen]
         pairs = thin.errors.of(zetas)
-        functions = [(one, own) for one, own in pairs if isinstance(one, FunctionsOfPose)]
-        random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, IndependentErrors)]
+        functions = [(one, own) for one, own in pairs if isinstance(one, GPTerm)]
+        random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, RandomTerm)]
         independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
         mean, covariance = _integrate(thin, y.mean(axis=0), zetas)
         sizes = {one.sort: one.amplitude(own) for one, own in functions}
@@ -140,7 +141,7 @@ class KnownFunctions:
         """Number n."""
         return len(self.covariance) - len(self.mean)
 
-    def _own(self, model: ReadingModel) -> OwnChannels:
+    def _own(self, model: ReadingModel) -> OwnChannelRows:
         places = np.array([model.names.index(name) for name in self.names])
         n, channels, stood = (
             len(self.time),
@@ -148,7 +149,7 @@ class KnownFunctions:
             self.home + self.range * self.travel,
         )
         rows = RowPositions(channels, self.home, np.arange(n), stood, stood)
-        return OwnChannels(places, self.range, self.levers, rows, n, np.ones(n, dtype=bool), self.covered > 0.5)
+        return OwnChannelRows(places, self.range, self.levers, rows, n, np.ones(n, dtype=bool), self.covered > 0.5)
 
     def show(self, model: ReadingModel, data: Measurements, read: Array) -> tuple[Array, Array]:
         """Return what coefficients do to the own channels' errors at poses, (P, K, A), and the variance beside, (P, K).
@@ -158,7 +159,7 @@ class KnownFunctions:
         own = self._own(model)
         filled = np.where(data.present, data.values, read)
         later = replace(data, values=filled, order=LATER + np.arange(data.n_poses))
-        terms = [ThinFunctionsOfPose(name, own, 0.0, 0.0, len(model.channels)) for name in self.sorts]
+        terms = [LowRankGPTerm(name, own, 0.0, 0.0, len(model.channels)) for name in self.sorts]
         columns, left = [np.zeros((*data.sd.shape, 0))], np.zeros(data.sd.shape)
         place = own.place_of(later)
         for term, square in zip(terms, self.square, strict=True):
@@ -186,9 +187,9 @@ class KnownFunctions:
         The first row is one of n equal intervals after the start, which of few rows is much of the session.
         """
         time = (np.arange(n) + 1.0) / n
-        functions = PoseFunctions((DRIFT,), Place(self.travel, self.time))
-        place = Place(np.zeros((n, 0)), time)
-        return np.asarray(SORTS[DRIFT].between(place, place)[0] / functions.norms[0])
+        functions = PoseFunctions((DRIFT,), KernelInput(self.travel, self.time))
+        place = KernelInput(np.zeros((n, 0)), time)
+        return np.asarray(POSE_KERNELS[DRIFT].between(place, place)[0] / functions.norms[0])
 
     # --- as arrays ---------------------------------------------------------------------------------------------------
 
@@ -229,7 +230,7 @@ class KnownFunctions:
         """Return the columns of smooth functions at the rows, (P, A); none without such functions."""
         if SMOOTH not in self.sorts:
             return np.zeros((len(self.time), 0))
-        place = Place(self.travel, self.time)
+        place = KernelInput(self.travel, self.time)
         return PoseFunctions((SMOOTH,), place, place).list_bases(place)[0][0]
 
     def _turn(self, sort: str, smooth: Array) -> Array:
@@ -254,10 +255,10 @@ def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:
     """Return a posterior whose functions are of few columns."""
     n = len(posterior.likelihood.model.channels)
     terms = tuple(
-        ThinFunctionsOfPose(one.sort, one.own, one.scale, one.floor, n) if isinstance(one, FunctionsOfPose) else one
+        LowRankGPTerm(one.sort, one.own, one.scale, one.floor, n) if isinstance(one, GPTerm) else one
         for one in posterior.errors.terms
     )
-    return replace(posterior, errors=Errors(terms, posterior.errors.outliers))
+    return replace(posterior, errors=ErrorModel(terms, posterior.errors.outliers))
 
 
 def _integrate(posterior: CalibrationPosterior, y: Array, zetas: Array) -> tuple[Array, Array]:
@@ -274,23 +275,21 @@ def _integrate(posterior: CalibrationPosterior, y: Array, zetas: Array) -> tuple
         slope, shown, sizes = linear.slope @ change, -(linear.left @ rows.act), rows.size_coefficients(zetas)
         found = []
         for zeta, size in zip(zetas, sizes, strict=True):
-            root = np.linalg.cholesky(linear.covariance(zeta))
             every = np.concatenate([slope, shown * size, linear.errors[..., None]], axis=-1)
-            white = (np.linalg.inv(root) @ every).reshape(-1, m + len(size) + 1)
+            white = whiten(linear.covariance(zeta), every)[0].reshape(-1, every.shape[-1])
             found.append(white.T @ white)
         grams = [one + other for one, other in zip(grams, found, strict=True)] if grams else found
     prior = posterior.sampling.prior_slope(change)
     pull = prior.T @ posterior.sampling.prior_residual(y[:m], theta)
-    sorts = [one.sort for one in posterior.errors.terms if isinstance(one, FunctionsOfPose)]
+    sorts = [one.sort for one in posterior.errors.terms if isinstance(one, GPTerm)]
     lasting = np.append(np.ones(m, dtype=bool), np.repeat([name != DRIFT for name in sorts], rows.widths))
     natural = change[posterior.sampling.free]
     means, covariances = [], []
     for size, gram in zip(sizes, grams, strict=True):
         precision = gram[:-1, :-1] + block_diag(prior.T @ prior, np.eye(len(size)))
-        covariance = np.linalg.inv(precision)
-        mean = -covariance @ (gram[:-1, -1] + np.append(pull, np.zeros(len(size))))
+        given = condition(precision, -(gram[:-1, -1:] + np.append(pull, np.zeros(len(size)))[:, None]), 0.0)
         to = block_diag(natural, np.diag(size))[:, lasting][lasting]
-        means.append(to @ mean[lasting])
-        covariances.append(to @ covariance[np.ix_(lasting, lasting)] @ to.T)
+        means.append(to @ given.mean[lasting, 0])
+        covariances.append(to @ given.covariance[np.ix_(lasting, lasting)] @ to.T)
     spread = np.mean(covariances, axis=0) + np.cov(np.array(means), rowvar=False, bias=True)
     return np.mean(means, axis=0)[m:], spread

@@ -18,13 +18,13 @@ from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.identifiability.reading_rows import (
-    Slopes,
-    View,
+    Jacobians,
+    LinearisedPoses,
     typical_covariance,
     typical_noise,
     whiten,
 )
-from bayescal.identifiability.requirements import ErrorsInUse, Forecast, ToolRemaining, forecast_tool
+from bayescal.identifiability.requirements import ErrorsInUse, ToolRemaining, WorkspaceErrorModel, forecast_tool
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
 
@@ -93,10 +93,10 @@ class MachineInUse:
             shown, random = gain @ shown, gain @ random
         return ErrorsInUse(own**2 + (random**2).sum(axis=-1), shown)
 
-    def foresee(self, at: View, internal: np.ndarray, given: Given) -> Forecast:
+    def predict_tool_errors(self, at: LinearisedPoses, internal: np.ndarray, given: Given) -> WorkspaceErrorModel:
         """Return how the tool errs at poses, located by the channels of a mask (K,), when these err as in use."""
         if self.known is None:
-            return Forecast(at.tool, at.located @ np.swapaxes(at.located, 1, 2))
+            return WorkspaceErrorModel(at.tool, at.located @ np.swapaxes(at.located, 1, 2))
         errors = self.err(at.pose, given)
         located = at.located @ whiten(typical_covariance(self.posterior, self.y), internal)
         return forecast_tool(at.whole, located, errors, at.alignment)
@@ -115,11 +115,11 @@ class MachineInUse:
         theta = np.asarray(self.posterior.theta(y).mean(axis=0))
         return ToolRemaining(likelihood.model, own, theta, pose, given, sd, seed, shown, aligned)
 
-    def see(self, slopes: Slopes, given: Given) -> Array:
+    def see(self, slopes: Jacobians, given: Given) -> Array:
         """Return what all channels say of geometry and coefficients at poses, these eliminated, (W, K, m + A)."""
         every = np.ones(slopes.by_pose.shape[1], dtype=bool)
         if self.known is None:
-            return slopes.seen_by(every).rows
+            return slopes.select_channels(every).rows
         errors = self.err(slopes.pose, given)
         assert errors.shown is not None
         stated = typical_covariance(self.posterior, self.y, own=True)

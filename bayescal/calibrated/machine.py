@@ -31,7 +31,7 @@ from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings import Channel, Legs, ReadingModel
-from bayescal.machines.readings.base import NOTHING, Given
+from bayescal.machines.readings.base import NO_CONDITIONS, Given
 from bayescal.machines.readings.legs import GAIN, divide_closure
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 
@@ -40,14 +40,14 @@ LEAST_SPREAD = 1e-13  # of a parameter's size, below which draws of it differ by
 NOISE, MODEL, MATRIX = "actuator noise", "model error", "deformation matrix"
 
 
-def find_hindrance(machine: Machine) -> str:
+def find_export_obstacle(machine: Machine) -> str:
     """Return why no drawings hold a machine's kinematics, in words; empty where they do.
 
     Of a machine with more legs than six the home pose that flexures and the Jacobian-based model refer to is a
     compromise, weighed at the nominal machine (see `models.home`): with other drawings it is another one.
     """
     if type(machine.model) not in MODELS.values() or type(machine.deformation) not in DEFORMATIONS.values():
-        return "a model or deformation of one's own, whose parameters no mechanism's file holds, expected built-in ones"
+        return "a model or user-defined deformation, whose parameters no mechanism's file holds, expected built-in ones"
     if isinstance(machine.deformation, FreeMatrixDeformation):
         return "deformation 'free_matrix', whose parameters no mechanism's file holds, expected 'matrix' or another"
     perfect = isinstance(machine.model, SixPus | SixUps)
@@ -143,7 +143,9 @@ class Source:
     experiment: str
     variant: str
     data: str  # what its data are, in words
-    problems: tuple[str, ...] = ()  # what speaks against its convergence; none of what is exported without force
+    problems: tuple[
+        str, ...
+    ] = ()  # what speaks against its convergence; none of what is exported without --allow-unconverged
     solution: str = ""  # which of several solutions: ``mode 1 of 2, probability 0.6``; empty of a single one
 
     @property
@@ -158,12 +160,12 @@ class Source:
         first = f"Calibrated machine: experiment {self.experiment}, variant {self.variant}{which}"
         lines = [first, f"Data: {self.data}"]
         if self.problems:
-            lines.append(f"NOT CONVERGED, written by force: {'; '.join(self.problems)}")
+            lines.append(f"NOT CONVERGED, written with --allow-unconverged: {'; '.join(self.problems)}")
         return lines
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class CommandErrors:
     """By what the C commanded channels err besides the geometry, in their units: h(θ, v) = s + δ at commands s."""
 
     noise: Array  # (C, C): covariance of the channels' readings, independent from one visit of a pose to the next
@@ -174,20 +176,20 @@ class Errors:
         del pose
         return np.broadcast_to(self.noise + np.diag(self.model_variance), (*commands.shape, commands.shape[-1]))
 
-    def split(self) -> dict[str, Errors]:
+    def split(self) -> dict[str, CommandErrors]:
         """Return the same by source, those that there are; noise always."""
         parts = {NOISE: replace(self, model_variance=np.zeros_like(self.model_variance))}
         if self.model_variance.any():
             parts[MODEL] = self.without_noise()
         return parts
 
-    def without_noise(self) -> Errors:
+    def without_noise(self) -> CommandErrors:
         """Return what stays the same when a pose is visited again."""
         return replace(self, noise=np.zeros_like(self.noise))
 
 
 @dataclass(frozen=True, eq=False)
-class LegErrors(Errors):
+class LegErrors(CommandErrors):
     """Errors of the closures of legs, mm, as a pose's density has them (see `density.pose_likelihood`).
 
     τ_i and what K's rest leaves of Δb_z are errors of a leg's own closure, e_i = A_ii ε_i with A = ∂F/∂ρ; the
@@ -223,9 +225,9 @@ class LegErrors(Errors):
             variance = variance + (rest if gain is None else rest / gain**2)
         return np.asarray(self.noise + (passed * variance[..., None, :]) @ np.swapaxes(passed, -1, -2))
 
-    def split(self) -> dict[str, Errors]:
+    def split(self) -> dict[str, CommandErrors]:
         """Return the same by source, the measured matrix among them."""
-        parts: dict[str, Errors] = {
+        parts: dict[str, CommandErrors] = {
             name: replace(one, matrix_covariance=None)  # type: ignore[call-arg]  # a class of the same fields
             for name, one in super().split().items()
         }
@@ -284,7 +286,7 @@ class CalibratedMachine:
     free: np.ndarray
     covariance: Array | None
     draws: Array | None
-    errors: Errors
+    errors: CommandErrors
     source: Source
     measured: Array | None = None
     given: Mapping[str, Array] = field(default_factory=dict)
@@ -383,10 +385,10 @@ def build_calibrated(
     model: ReadingModel,
     theta: Array,
     draws: Array | None,
-    errors: Errors,
+    errors: CommandErrors,
     source: Source,
     measured: Array | None = None,
-    given: Given = NOTHING,
+    given: Given = NO_CONDITIONS,
     workspace: Array | None = None,
     machine_file: str = "",
     files: Mapping[str, bytes] | None = None,
@@ -397,7 +399,7 @@ def build_calibrated(
     """
     if isinstance(model, Legs) and isinstance(errors, LegErrors):
         legs = Legs(model.machine, has_gains=model.has_gains)
-        if not find_hindrance(model.machine):
+        if not find_export_obstacle(model.machine):
             settled = settle_legs(legs, theta)
             draws = None if draws is None else express_parameters(legs, settled, draws)
             legs, theta = settled, settled.layout.nominal

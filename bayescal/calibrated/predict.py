@@ -25,7 +25,7 @@ from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
 from bayescal.identifiability.information import root_of
 from bayescal.machines.readings import Channel
-from bayescal.machines.readings.base import NOTHING, Given, solve
+from bayescal.machines.readings.base import NO_CONDITIONS, Given, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300
@@ -85,7 +85,7 @@ class PosePrediction:
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
+class PoseCommands:
     """Commands of P poses.
 
     Attributes
@@ -114,7 +114,7 @@ class Command:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class LinearisedCommands:
     """The mean machine at P commands, to first order."""
 
     commands: Array  # (P, C)
@@ -151,7 +151,7 @@ def check_determined(calibrated: CalibratedMachine) -> None:
     model, n = calibrated.model, len(calibrated.commanded)
     q = len(model.coordinates)
     if not q:
-        uses = "; bayescal command says what its channels read" if n else ""
+        uses = "; bayescal compensate says what its channels read" if n else ""
         raise InputError(f"machine {calibrated.name!r}: not meaningful: it has no coordinates, and so no pose{uses}")
     if n < q:
         stated = ", ".join(model.commanded) or "none"
@@ -161,7 +161,7 @@ def check_determined(calibrated: CalibratedMachine) -> None:
         )
 
 
-def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> Place:
+def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given = NO_CONDITIONS) -> LinearisedCommands:
     """Return the mean machine at commands (P, C), to first order."""
     model, theta = calibrated.model, calibrated.theta
     pose, found = model.locate(theta, commands, given, weights=calibrated.weights)
@@ -170,7 +170,7 @@ def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given =
 
 def linearise_place(
     calibrated: CalibratedMachine, pose: Array, found: np.ndarray, commands: Array, given: Given
-) -> Place:
+) -> LinearisedCommands:
     """Return the mean machine at poses (P, q) that are found, to first order."""
     model, theta, weights = calibrated.model, calibrated.theta, calibrated.weights
     here = model.linearise(theta, pose, True, given)
@@ -185,7 +185,9 @@ def linearise_place(
     compared, nothing = compare_outputs(calibrated), np.zeros_like(outputs)
     direct, indirect = (compared.pull_back(nothing, outputs, one) for one in (direct, indirect))
     back = invert(weights[:, None] * by_pose, found, model.pose_scale) * weights
-    return Place(commands, given, pose, found, by_pose, by_parameters, outputs, direct, indirect, direct @ back)
+    return LinearisedCommands(
+        commands, given, pose, found, by_pose, by_parameters, outputs, direct, indirect, direct @ back
+    )
 
 
 class ErrorsThere(NamedTuple):
@@ -201,7 +203,7 @@ class ErrorsThere(NamedTuple):
         return np.sum(list(self.parts.values()), axis=0)
 
 
-def find_errors(calibrated: CalibratedMachine, at: Place) -> ErrorsThere:
+def find_errors(calibrated: CalibratedMachine, at: LinearisedCommands) -> ErrorsThere:
     """Return what the commanded channels err by at some poses.
 
     A drift is another one at another time, as large as it was.
@@ -229,7 +231,7 @@ def find_errors(calibrated: CalibratedMachine, at: Place) -> ErrorsThere:
 # --- poses of commands ---------------------------------------------------------------------------------------------
 
 
-def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given = NOTHING) -> PosePrediction:
+def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given = NO_CONDITIONS) -> PosePrediction:
     """Return where a machine stands at commands s, shape (P, C), and its tool, with their covariance.
 
     Parameters
@@ -285,7 +287,7 @@ def _predict_some(
 
 
 def spread_outputs(
-    calibrated: CalibratedMachine, at: Place, errors: ErrorsThere, curved: Array | None
+    calibrated: CalibratedMachine, at: LinearisedCommands, errors: ErrorsThere, curved: Array | None
 ) -> tuple[Array, Array]:
     """Return how the posterior moves the outputs, in the mean (P, M), and factors (P, M, R) of their covariance.
 
@@ -300,7 +302,7 @@ def spread_outputs(
     return _spread(calibrated, at.by_geometry, respond, curved, columns)
 
 
-def respond_at(calibrated: CalibratedMachine, at: Place, part: slice, theta: Array) -> Array:
+def respond_at(calibrated: CalibratedMachine, at: LinearisedCommands, part: slice, theta: Array) -> Array:
     """Return how machines θ, shape (S, D), as they are, move the outputs of some poses, shape (P, M, S)."""
     model, given = calibrated.model, _pick(at.given, part)
     read = model.respond(theta, calibrated.theta, at.pose[part], at.commands[part], given)
@@ -316,9 +318,9 @@ def respond_at(calibrated: CalibratedMachine, at: Place, part: slice, theta: Arr
 # --- commands of poses ---------------------------------------------------------------------------------------------
 
 
-def command_poses(
-    calibrated: CalibratedMachine, poses: Array, given: Given = NOTHING, coordinates: bool = False
-) -> Command:
+def compensate_poses(
+    calibrated: CalibratedMachine, poses: Array, given: Given = NO_CONDITIONS, coordinates: bool = False
+) -> PoseCommands:
     """Return the commands that hold poses, how well they are known, and which poses are out of reach.
 
     Parameters
@@ -338,7 +340,7 @@ def command_poses(
 
     Examples
     --------
-    >>> bc.command_poses(calibrated, found.tool).commands.round(6)
+    >>> bc.compensate_poses(calibrated, found.tool).commands.round(6)
     array([[250., 250., 250.]])
     """
     model = calibrated.model
@@ -362,7 +364,7 @@ def command_poses(
     ]
     commands, spreads, faults = zip(*parts, strict=True)
     covariance = None if calibrated.covariance is None else np.concatenate(spreads)
-    return Command(np.concatenate(commands), covariance, tuple(fault for some in faults for fault in some))
+    return PoseCommands(np.concatenate(commands), covariance, tuple(fault for some in faults for fault in some))
 
 
 def _command_some(
@@ -454,7 +456,7 @@ def spread_commands(calibrated: CalibratedMachine) -> tuple[Array, Given]:
     low, high = model.command_range.T
     given = calibrated.typical(COMPARED) if calibrated.given or not model.given else None
     if given is None:
-        return np.empty((0, len(low))), NOTHING
+        return np.empty((0, len(low))), NO_CONDITIONS
     if np.isfinite([low, high]).all():
         return 0.5 * (low + high) + 0.5 * (high - low) * rng.uniform(-1.0, 1.0, (COMPARED, len(low))), given
     least, most = bound_workspace(calibrated)

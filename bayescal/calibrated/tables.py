@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
-from bayescal.calibrated.predict import Command, PosePrediction, is_pose
+from bayescal.calibrated.predict import PoseCommands, PosePrediction, is_pose
 from bayescal.data.actuators import check_range
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
 from bayescal.errors import InputError, name_faults
-from bayescal.files.csv_tables import Table, format_table, read_table
+from bayescal.files.csv_tables import CsvTable, format_table, read_table
 from bayescal.machines.readings import Channel, Coordinate, Legs
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
@@ -30,16 +30,16 @@ TOOL = "tool_"
 FINE = {"mm": ("um", 1e3), "rad": ("urad", 1e6)}
 """Units of standard deviations and covariances in files, and how many of them make an inner one."""
 TURNED = ("rx", "ry", "rz")
-TOGETHER = 1e-3
+MAX_TOOL_MISMATCH = 1e-3
 """Share of the tool's way over the workspace by which it may be off from where coordinates have it: a predicted tool is
 a mean over the posterior."""
 
 
 @dataclass(frozen=True, eq=False)
-class Commanded:
+class CommandedPoses:
     """Poses to be taken: their table, names (P), the tool's numbers or the coordinates (P, n), what is given (P,)."""
 
-    table: Table
+    table: CsvTable
     names: tuple[str, ...]
     poses: Array
     given: dict[str, Array]
@@ -49,7 +49,7 @@ class Commanded:
 # --- reading -------------------------------------------------------------------------------------------------------
 
 
-def read_quantities(table: Table, wanted: Sequence[Channel | Coordinate], prefix: str = "") -> Array:
+def read_quantities(table: CsvTable, wanted: Sequence[Channel | Coordinate], prefix: str = "") -> Array:
     """Return the columns of some quantities, each in a unit of its kind, in the inner one, shape (P, n).
 
     The components of a rotation vector rx, ry, rz may be there in any form of rotation. InputError for a missing
@@ -92,7 +92,7 @@ def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> li
     return names + [f"{prefix}{name}" for name in OTHER_COLUMNS if _find_turned(wanted)]
 
 
-def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tuple[Table, tuple[str, ...]]:
+def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tuple[CsvTable, tuple[str, ...]]:
     """Return a table with a column ``pose`` and others out of those known, and the poses' names, each once."""
     table = read_table(path, None)
     for name in table.columns:
@@ -107,7 +107,7 @@ def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tup
     return table, tuple(names)
 
 
-def read_given(table: Table, names: Sequence[str]) -> dict[str, Array]:
+def read_given(table: CsvTable, names: Sequence[str]) -> dict[str, Array]:
     """Return what has to be known of each pose besides, (P,) by name; InputError where a column is missing."""
     for name in names:
         if name not in table.columns:
@@ -115,7 +115,7 @@ def read_given(table: Table, names: Sequence[str]) -> dict[str, Array]:
     return {name: table.numbers((name,))[:, 0] for name in names}
 
 
-def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
+def read_commanded(path: Path, calibrated: CalibratedMachine) -> CommandedPoses:
     """Return the poses of a table, the tool's or the machine's coordinates; what else is measured is passed over.
 
     InputError for a missing column, a cell that is no number, or a pose that stands twice.
@@ -136,17 +136,17 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> Commanded:
         check_both(calibrated, table)
     wanted = model.tool_channels if by_tool else model.pose_channels
     values = read_quantities(table, wanted, TOOL if by_tool else "")
-    return Commanded(table, names, values, read_given(table, model.given), not by_tool)
+    return CommandedPoses(table, names, values, read_given(table, model.given), not by_tool)
 
 
-def check_both(calibrated: CalibratedMachine, table: Table) -> None:
+def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
     """Raise InputError for a table of tools and coordinates that the machine does not have at the same pose."""
     model = calibrated.model
     pose, tool = read_quantities(table, model.pose_channels), read_quantities(table, model.tool_channels, TOOL)
     with np.errstate(all="ignore"):
         own, by_pose, _ = model.tool(calibrated.theta, pose)
         off = np.abs(calibrated.comparison.subtract(tool, own))
-        least = TOGETHER * np.abs(by_pose * model.pose_scale).sum(axis=-1)
+        least = MAX_TOOL_MISMATCH * np.abs(by_pose * model.pose_scale).sum(axis=-1)
     for k, m in np.argwhere(~(off <= least))[:1]:
         one = model.tool_channels[m]
         unit, size = show_unit(calibrated, one)
@@ -170,7 +170,7 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
     return names, commands, read_given(table, model.given)
 
 
-def check_reached(commanded: Commanded, command: Command) -> None:
+def check_reached(commanded: CommandedPoses, command: PoseCommands) -> None:
     """Raise InputError that names the poses out of reach, with their lines."""
     lost = [k for k, fault in enumerate(command.faults) if fault]
     if not lost:
@@ -179,8 +179,8 @@ def check_reached(commanded: Commanded, command: Command) -> None:
     listed = [f"line {lines[k]}, pose {names[k]!r}: {command.faults[k]}" for k in lost[:NAMED]]
     more = f"; and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
     raise InputError(
-        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none (--mark marks "
-        f"them): {'; '.join(listed)}{more}"
+        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none "
+        f"(--allow-unreachable marks them): {'; '.join(listed)}{more}"
     )
 
 
@@ -199,7 +199,7 @@ def check_found(path: Path, names: Sequence[str], prediction: PosePrediction) ->
 
 
 def format_command(
-    calibrated: CalibratedMachine, names: Sequence[str], command: Command, given: Mapping[str, Array]
+    calibrated: CalibratedMachine, names: Sequence[str], command: PoseCommands, given: Mapping[str, Array]
 ) -> str:
     """Return commands as CSV text, with standard deviations, and which poses are out of reach."""
     channels = calibrated.command_channels

@@ -2,7 +2,7 @@
 
 import sys
 
-from bayescal import list_elsewhere
+from bayescal.search_path import list_elsewhere
 
 # before libraries are imported, which a file of the current folder may be called as
 sys.path[:] = list_elsewhere()

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from bayescal.config.trust import TRUST, change_policy
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
-from bayescal.experiments.frame.interrupts import INTERRUPTED
+from bayescal.experiments.runner.interrupts import INTERRUPTED
 from bayescal.files.manifest import say_by
 from bayescal.files.plain_text import make_plain
 from bayescal.limits import LARGEST_SEED
@@ -33,7 +33,7 @@ app = typer.Typer(
 WIDTH, WIDE = 120, 160
 """Of what is printed where there is no terminal; comparisons are wide."""
 
-OWN_FAULT = "a fault of bayescal, or of a class of one's own"
+OWN_FAULT = "a fault of bayescal, or of a user-defined class"
 TRACEBACK = "BAYESCAL_TRACEBACK"
 """Environment variable that shows where in the code a fault of bayescal's own is."""
 
@@ -52,16 +52,16 @@ def begin(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
     ] = False,
-    no_plugins: NoPlugins = False,
+    no_custom_code: NoCustomCode = False,
     trust: Trust = False,
 ) -> None:
     """Bayesian identification of parallel-kinematic machines."""
-    del version, no_plugins, trust
+    del version, no_custom_code, trust
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
-def _forbid_plugins(forbidden: bool) -> None:
+def _forbid_custom_code(forbidden: bool) -> None:
     if forbidden:
         change_policy(own=False)
 
@@ -96,15 +96,15 @@ def _ask(question: str) -> bool:
 
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
-Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed in place of the config's.")]
-NoPlugins = Annotated[
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed instead of the config's.")]
+NoCustomCode = Annotated[
     bool,
     typer.Option(
-        "--no-plugins",
-        envvar="BAYESCAL_NO_PLUGINS",
-        callback=_forbid_plugins,
+        "--no-custom-code",
+        envvar="BAYESCAL_NO_CUSTOM_CODE",
+        callback=_forbid_custom_code,
         is_eager=True,
-        help="Refuse classes that are not built in; import no code that a file names.",
+        help="Refuse custom classes: import no code that a file names.",
     ),
 ]
 
@@ -121,8 +121,10 @@ Trust = Annotated[
 ]
 
 
-Force = Annotated[
-    bool, typer.Option("--force", help="Take results whose files are not as they were written; what is, is said.")
+AllowUnconverged = Annotated[bool, typer.Option("--allow-unconverged", help="Use a posterior that did not converge.")]
+AllowChangedFiles = Annotated[
+    bool,
+    typer.Option("--allow-changed-files", help="Use results although files changed; a warning lists them."),
 ]
 
 
@@ -135,17 +137,17 @@ class RunOptions:
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Processes side by side; default one per core.")
     ] = None
-    scheduler: Annotated[
+    dask_scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Of dask: an address, a scheduler's JSON file, or local:N; its workers compute."
+            metavar="ADDRESS", help="Dask scheduler: its address, its JSON file, or local:N. Its workers compute."
         ),
     ] = None
     resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False
     quiet: Annotated[
         bool, typer.Option("--quiet", callback=_be_quiet, is_eager=True, help="Print nothing but errors.")
     ] = False
-    no_plugins: NoPlugins = False
+    no_custom_code: NoCustomCode = False
     trust: Trust = False
 
 
@@ -169,7 +171,7 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def make_console(width: int = WIDTH) -> Console:
     """Return where to print; without a terminal as wide as COLUMNS says, or as is given."""
-    from bayescal.experiments.frame.terminal import PlainConsole
+    from bayescal.experiments.runner.terminal import PlainConsole
 
     found = PlainConsole()
     if found.is_terminal:

@@ -1,4 +1,4 @@
-"""Commands that use a calibrated machine: export, command, predict, certificate, recheck."""
+"""Commands that use a calibrated machine: export, command, predict, certificate, verify."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from bayescal.cli.app import Trust, app, check_out, echo, put, spread_options
+from bayescal.cli.app import AllowChangedFiles, AllowUnconverged, Trust, app, check_out, echo, put, spread_options
 from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
 if TYPE_CHECKING:
     from bayescal.calibrated.accuracy import Region
     from bayescal.calibrated.machine import CalibratedMachine
-    from bayescal.calibrated.recheck.plan import Demand
-    from bayescal.calibrated.recheck.statistics import Suspects
+    from bayescal.calibrated.verify.plan import VerificationGoal
+    from bayescal.calibrated.verify.statistics import TestedParameters
     from bayescal.density.calibration.measurements import Measurements
     from bayescal.numerics.geometry import Array
 
@@ -42,10 +42,8 @@ class MachineOptions:
         Path | None,
         typer.Option(help="Config of results that do not hold the nominal machine."),
     ] = None
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Take a posterior that did not converge, and files that were changed."),
-    ] = False
+    allow_unconverged: AllowUnconverged = False
+    allow_changed_files: AllowChangedFiles = False
     trust: Trust = False
     mode: Annotated[int | None, typer.Option(min=1, help="Which of several solutions; 1 is the most probable.")] = None
 
@@ -54,7 +52,13 @@ class MachineOptions:
         from bayescal.experiments.shared.calibrating import load_calibrated
 
         return load_calibrated(
-            results, self.variant, self.experiment, self.force, mode=self.mode, with_instruments=with_instruments
+            results,
+            self.variant,
+            self.experiment,
+            self.allow_unconverged,
+            self.allow_changed_files,
+            mode=self.mode,
+            with_instruments=with_instruments,
         )
 
 
@@ -81,27 +85,29 @@ def export(
     _tell_missing(results, calibrated)
 
 
-@app.command(epilog="Example: bayescal command results/m2_hexapod poses.csv --out actuators.csv")
+@app.command(epilog="Example: bayescal compensate results/m2_hexapod poses.csv --out actuators.csv")
 @spread_options
-def command(
+def compensate(
     results: Calibrated,
     poses: Annotated[
         Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... rz_deg, or a tool's tool_x_mm ...")
     ],
     options: MachineOptions,
     out: Table = None,
-    mark: Annotated[bool, typer.Option("--mark", help="Mark poses out of reach instead of refusing them.")] = False,
+    allow_unreachable: Annotated[
+        bool, typer.Option("--allow-unreachable", help="Mark unreachable poses instead of refusing them.")
+    ] = False,
 ) -> None:
-    """Compute the commands (actuator positions) that hold poses, and their uncertainty."""
-    from bayescal.calibrated.predict import command_poses
+    """Compute the corrected actuator positions that hold wanted poses, and their uncertainty."""
+    from bayescal.calibrated.predict import compensate_poses
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
     calibrated = options.load(results)
     check_out(out)
     commanded = read_commanded(poses, calibrated)
     _check_many(len(commanded.names), 1, calibrated)
-    found = command_poses(calibrated, commanded.poses, commanded.given, commanded.coordinates)
-    if not mark:
+    found = compensate_poses(calibrated, commanded.poses, commanded.given, commanded.coordinates)
+    if not allow_unreachable:
         check_reached(commanded, found)
     put(format_command(calibrated, commanded.names, found, commanded.given), out)
     _tell_missing(results, calibrated)
@@ -114,7 +120,7 @@ def predict(
     commands: Annotated[Path, typer.Argument(metavar="COMMANDS.csv", help="pose, rho_1_mm, rho_2_mm ...")],
     options: MachineOptions,
     out: Table = None,
-    draws: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
+    draws_out: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
     n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
 ) -> None:
@@ -125,22 +131,22 @@ def predict(
 
     calibrated = options.load(results)
     check_out(out)
-    check_out(draws)
+    check_out(draws_out)
     check_determined(calibrated)
     names, positions, given = read_commands(commands, calibrated)
-    _check_many(len(names), 1 if draws is None else n_draws, calibrated)
+    _check_many(len(names), 1 if draws_out is None else n_draws, calibrated)
     found = predict_poses(calibrated, positions, given)
     check_found(commands, names, found)
-    if draws is not None:
+    if draws_out is not None:
         drawn = draw_poses(calibrated, positions, n_draws, np.random.default_rng(seed), given)
-        put(format_draws(calibrated, names, drawn), draws)
+        put(format_draws(calibrated, names, drawn), draws_out)
     put(format_prediction(calibrated, names, found, given), out)
     _tell_missing(results, calibrated)
 
 
 def _check_many(n_poses: int, n_draws: int, calibrated: CalibratedMachine) -> None:
     """Raise InputError where there is no memory for so many poses by draws, and the text that is made of them."""
-    from bayescal.experiments.frame.memory import check_arrays
+    from bayescal.experiments.runner.memory import check_arrays
 
     model = calibrated.model
     numbers = COPIES * max(len(model.tool_channels) + len(model.coordinates), len(calibrated.commanded)) ** 2
@@ -173,14 +179,14 @@ def certificate(
     rotation_deg: Annotated[
         tuple[float, float, float] | None, typer.Option(help="Half extents of the rotation vector, with --position-mm.")
     ] = None,
-    whole_range: Annotated[
-        bool, typer.Option("--whole-range", help="All over the actuators' range, measured or not.")
+    full_range: Annotated[
+        bool, typer.Option("--full-range", help="The full range of the actuators, measured or not.")
     ] = False,
     poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
-    from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline
+    from bayescal.experiments.shared.certificate import CertificateOptions, build_certificate, certify, state_headline
     from bayescal.report.page import render_page
     from bayescal.report.pictures import render_picture
 
@@ -189,8 +195,8 @@ def certificate(
         raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
     check_out(where)
-    region = _read_region(calibrated, position_mm, rotation_deg, whole_range)
-    wishes = Wishes(coverage, poses, cube_mm=cube, seed=seed, region=region, whole_range=whole_range)
+    region = _read_region(calibrated, position_mm, rotation_deg, full_range)
+    wishes = CertificateOptions(coverage, poses, cube_mm=cube, seed=seed, region=region, full_range=full_range)
     found = certify(calibrated, results, wishes)
     echo(state_headline(found))
     page = build_certificate(found)
@@ -203,15 +209,15 @@ def _read_region(
     calibrated: CalibratedMachine,
     position_mm: tuple[float, float, float] | None,
     rotation_deg: tuple[float, float, float] | None,
-    whole_range: bool,
+    full_range: bool,
 ) -> Region | None:
     """Return the box that the options state; None for the default, or for the actuators' range."""
     from math import isfinite
 
     from bayescal.calibrated.accuracy import box_about_home
 
-    if whole_range and (position_mm or rotation_deg):
-        raise InputError("--whole-range: found beside --position-mm or --rotation-deg, expected either")
+    if full_range and (position_mm or rotation_deg):
+        raise InputError("--full-range: found beside --position-mm or --rotation-deg, expected either")
     if position_mm is None:
         if rotation_deg is not None:
             raise InputError("--rotation-deg: found without --position-mm, expected both")
@@ -235,15 +241,18 @@ def _read_region(
     return box_about_home(half)
 
 
-@app.command(epilog="Example: bayescal recheck results/m2 --position-um 10 --orientation-arcsec 1 --out plan.csv")
+@app.command(epilog="Example: bayescal verify results/m2 --position-um 10 --orientation-arcsec 1 --out plan.csv")
 @spread_options
-def recheck(
+def verify(
     results: Calibrated,
     options: MachineOptions,
     measured: Annotated[
         list[Path] | None, typer.Option(help="CSV file of readings, of poses for legs, once per session: judge them.")
     ] = None,
-    actuators: Annotated[Path | None, typer.Option(help="The plan, where --measured lacks what was commanded.")] = None,
+    actuators: Annotated[
+        Path | None,
+        typer.Option(help="CSV with the commanded actuator positions (the plan), where --measured lacks them."),
+    ] = None,
     position_um: Annotated[
         float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured position, for legs.")
     ] = None,
@@ -251,17 +260,17 @@ def recheck(
         float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured rotation.")
     ] = None,
     orientation_urad: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e6, help="The same in microradians, in place of arcseconds.")
+        float | None, typer.Option(min=1e-3, max=1e6, help="The same in microradians, instead of arcseconds.")
     ] = None,
-    like: Annotated[
-        Path | None, typer.Option(help="CSV file of such readings with their noise, in place of options, for a plan.")
+    noise_from: Annotated[
+        Path | None, typer.Option(help="CSV file of readings whose noise a plan takes, instead of the options.")
     ] = None,
     sensors: Annotated[
-        list[str] | None, typer.Option(help="Channels that are read, without legs; default all of known noise.")
+        list[str] | None, typer.Option(help="Sensor channels to use, without legs; default all of known noise.")
     ] = None,
-    shift_of: Annotated[
+    parameters: Annotated[
         list[str] | None,
-        typer.Option(help="Symbols or parameters that may shift; default the legs' lengths, or all free ones."),
+        typer.Option(help="Symbols or parameters under test; default the legs' lengths, or all free ones."),
     ] = None,
     shift_um: Annotated[float | None, typer.Option(min=1e-2, max=1e5, help="Shift of a length; default 20.")] = None,
     shift_arcsec: Annotated[float | None, typer.Option(min=1e-3, max=1e6, help="Of an angle; default 20.")] = None,
@@ -274,20 +283,22 @@ def recheck(
     candidates: Annotated[
         Path | None, typer.Option(help="CSV file of commands to choose from: pose, rho_1_mm ...")
     ] = None,
-    share: Annotated[float, typer.Option(min=0.01, max=1.0, help="Of the commands' range, without one.")] = 0.9,
+    range_fraction: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Fraction of the commands' range, without --candidates.")
+    ] = 0.9,
     out: Table = None,
 ) -> None:
-    """Name the fewest poses that show whether a calibration still holds, or judge what was read at them."""
-    from bayescal.calibrated.recheck.plan import (
+    """Plan the fewest poses that show whether a calibration still holds, or judge what was measured at them."""
+    from bayescal.calibrated.tables import read_commands
+    from bayescal.calibrated.verify.plan import (
         describe_plan,
-        describe_recheck,
+        describe_reverification,
         expect_readings,
         format_plan,
         list_candidates,
-        plan_recheck,
+        plan_reverification,
     )
-    from bayescal.calibrated.recheck.statistics import choose_suspects, judge_recheck
-    from bayescal.calibrated.tables import read_commands
+    from bayescal.calibrated.verify.statistics import choose_suspects, judge_reverification
     from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
@@ -295,7 +306,7 @@ def recheck(
     if calibrated.covariance is None:
         raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
     check_out(out)
-    suspects = choose_suspects(calibrated, shift_of or [])
+    suspects = choose_suspects(calibrated, parameters or [])
     legs = isinstance(calibrated.model, Legs)
     stated = _find_stated(results, position_um, orientation_arcsec) if legs else None
     if measured:
@@ -305,30 +316,30 @@ def recheck(
                 said, session = _read_poses(path, actuators, stated, calibrated)
                 lines += said
             else:
-                session = _read_readings(path, actuators, _find_noise(calibrated, like, sensors), calibrated)
+                session = _read_readings(path, actuators, _find_noise(calibrated, noise_from, sensors), calibrated)
             read.append(session)
         with name_faults(results):
-            lines += describe_recheck(judge_recheck(calibrated, suspects, read, false_alarm, sessions))
+            lines += describe_reverification(judge_reverification(calibrated, suspects, read, false_alarm, sessions))
         put("".join(f"{line}\n" for line in lines), out)
         return
     if legs:
-        planned = _plan_poses(results, stated, like, calibrated)
+        planned = _plan_poses(results, stated, noise_from, calibrated)
     else:
-        sd = _find_noise(calibrated, like, sensors)
+        sd = _find_noise(calibrated, noise_from, sensors)
         unknown = np.flatnonzero(~np.isfinite(sd))  # an exported machine knows nothing of channels beside it
         if sensors is None and len(unknown) and np.isfinite(sd).sum() <= len(calibrated.model.coordinates):
             one = calibrated.model.channels[unknown[0]]
             raise InputError(
-                f"{results}: found no noise of {one.name}, expected --like READINGS.csv with readings of it and a "
-                f"column {one.stem}_sd_{one.unit}"
+                f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with readings of it "
+                f"and a column {one.stem}_sd_{one.unit}"
             )
         planned = expect_readings(sd)
     commands, given = (
-        list_candidates(calibrated, share) if candidates is None else read_commands(candidates, calibrated)[1:]
+        list_candidates(calibrated, range_fraction) if candidates is None else read_commands(candidates, calibrated)[1:]
     )
     demand = _demand(calibrated, suspects, (shift_um, shift_arcsec, shift_sd), power, false_alarm, sessions)
     with name_faults(results):
-        plan = plan_recheck(calibrated, suspects, commands, given, planned, demand)
+        plan = plan_reverification(calibrated, suspects, commands, given, planned, demand)
     sentence = describe_plan(plan)
     put(format_plan(calibrated, plan, sentence), out)
     if out is not None:
@@ -337,19 +348,19 @@ def recheck(
 
 def _demand(
     calibrated: CalibratedMachine,
-    suspects: Suspects,
+    suspects: TestedParameters,
     stated: tuple[float | None, float | None, float | None],
     power: float,
     false_alarm: float,
     sessions: int,
-) -> Demand:
+) -> VerificationGoal:
     """Return what is demanded of a plan; InputError for a shift in units that the parameters do not have."""
-    from bayescal.calibrated.recheck.plan import Demand
+    from bayescal.calibrated.verify.plan import VerificationGoal
     from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
     um, arcsec, in_sd = stated
     if sum(one is not None for one in stated) > 1:
-        raise InputError("recheck: found the shift in several units, expected one of --shift-um, -arcsec and -sd")
+        raise InputError("verify: found the shift in several units, expected one of --shift-um, -arcsec and -sd")
     units = set(suspects.units)
     if not any(one is not None for one in stated) and suspects.stated:
         um, arcsec = DEFAULT_UM if units == {"mm"} else None, DEFAULT_ARCSEC if units == {"rad"} else None
@@ -357,16 +368,16 @@ def _demand(
         if value is not None:
             if units != {unit}:
                 raise InputError(
-                    f"recheck: found --shift-{option} for parameters in {', '.join(sorted(units))}, expected --shift-sd"
+                    f"verify: found --shift-{option} for parameters in {', '.join(sorted(units))}, expected --shift-sd"
                 )
-            return Demand(np.full(len(suspects.names), size * value), power, false_alarm, sessions)
+            return VerificationGoal(np.full(len(suspects.names), size * value), power, false_alarm, sessions)
     in_sd = DEFAULT_SD if in_sd is None else in_sd
     known = calibrated.sd[suspects.places]
     for name in np.array(suspects.names)[known <= 0.0][:1]:
         raise InputError(
-            f"recheck: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"
+            f"verify: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"
         )
-    return Demand(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
+    return VerificationGoal(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
 
 
 # --- legs ----------------------------------------------------------------------------------------------------------
@@ -376,29 +387,29 @@ def _read_poses(
     path: Path, actuators: Path | None, stated: tuple[float, float] | None, calibrated: CalibratedMachine
 ) -> tuple[list[str], Measurements]:
     """Return what is wrong with a session's measured poses, in lines, and the poses."""
-    from bayescal.calibrated.recheck.plan import has_noise, place_poses, read_session
+    from bayescal.calibrated.verify.plan import has_noise, place_poses, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
-    from bayescal.experiments.shared.leg_readings import find_recheck_slip
+    from bayescal.experiments.shared.leg_readings import find_reverification_slip
 
     noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
     read = read_session(path, actuators, noise, calibrated)
-    slip = find_recheck_slip(calibrated, read.poses) if read.is_whole() else None
+    slip = find_reverification_slip(calibrated, read.poses) if read.is_whole() else None
     lines = [] if slip is None else [f"{path}: {slip.say()}; what else is said rests on it"]
     return lines, place_poses(read.names, read.actuators, read.values, read.covariance)
 
 
 def _plan_poses(
-    results: Path, stated: tuple[float, float] | None, like: Path | None, calibrated: CalibratedMachine
+    results: Path, stated: tuple[float, float] | None, noise_from: Path | None, calibrated: CalibratedMachine
 ) -> Measurements:
     """Return how a pose will be measured: as it is stated, as a table has it, or as the study had it."""
-    from bayescal.calibrated.recheck.plan import build_covariance, expect_pose, read_mean_covariance
+    from bayescal.calibrated.verify.plan import build_covariance, expect_pose, read_mean_covariance
 
-    if like is not None:
-        return expect_pose(calibrated, read_mean_covariance(like))
+    if noise_from is not None:
+        return expect_pose(calibrated, read_mean_covariance(noise_from))
     if stated is None:
         raise InputError(
             f"{results}: found no noise of an instrument that measures poses, expected --position-um and "
-            "--orientation-arcsec, or --like POSES.csv with cov_ or sd_ columns"
+            "--orientation-arcsec, or --noise-from POSES.csv with cov_ or sd_ columns"
         )
     return expect_pose(calibrated, build_covariance(*stated))
 
@@ -410,18 +421,18 @@ def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None
     try:
         return choose_arcseconds(arcsec, urad)
     except ValueError as error:
-        raise InputError(f"recheck: {error}") from error
+        raise InputError(f"verify: {error}") from error
 
 
 def _find_stated(
     results: Path, position_um: float | None, orientation_arcsec: float | None
 ) -> tuple[float, float] | None:
     """Return the noise of position (µm) and rotation (arcsec) by the options, or by the study's config."""
-    from bayescal.experiments.frame.results import PROVENANCE_FILE
+    from bayescal.experiments.runner.results import PROVENANCE_FILE
     from bayescal.files.atomic import read_json
 
     if (position_um is None) != (orientation_arcsec is None):
-        raise InputError("recheck: found --position-um or --orientation-arcsec alone, expected both")
+        raise InputError("verify: found --position-um or --orientation-arcsec alone, expected both")
     if position_um is not None and orientation_arcsec is not None:
         return position_um, orientation_arcsec
     if not (results / PROVENANCE_FILE).is_file():
@@ -437,7 +448,7 @@ def _find_stated(
 
 def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: CalibratedMachine) -> Measurements:
     """Return a session's readings, with the noise that is stated where its table does not."""
-    from bayescal.calibrated.recheck.plan import add_commands, check_noise
+    from bayescal.calibrated.verify.plan import add_commands, check_noise
 
     read = _read_table(path, calibrated)
     known = np.where(np.isfinite(read.sd), read.sd, sd)
@@ -456,12 +467,12 @@ def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
 
 
-def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Sequence[str] | None) -> Array:
+def _find_noise(calibrated: CalibratedMachine, noise_from: Path | None, sensors: Sequence[str] | None) -> Array:
     """Return the noise of each channel, (K,): as a table has it, or as the calibration found it; NaN if not read."""
     model = calibrated.model
     sd = np.full(len(model.channels), np.nan) if calibrated.noise is None else calibrated.noise.copy()
-    if like is not None:
-        read = _read_table(like, calibrated)
+    if noise_from is not None:
+        read = _read_table(noise_from, calibrated)
         square = np.where(read.present & np.isfinite(read.sd), read.sd**2, np.nan)
         stated = np.isfinite(square).any(axis=0)
         sd = np.where(read.present.any(axis=0), sd, np.nan)
@@ -471,7 +482,7 @@ def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Seque
             if asked and k not in calibrated.commanded:
                 one = model.channels[k]
                 raise InputError(
-                    f"{like}: found readings of {one.name} whose noise is not known, expected a column "
+                    f"{noise_from}: found readings of {one.name} whose noise is not known, expected a column "
                     f"{one.stem}_sd_{one.unit}"
                 )
     if sensors is not None:
@@ -479,8 +490,8 @@ def _find_noise(calibrated: CalibratedMachine, like: Path | None, sensors: Seque
         for k in chosen[~np.isfinite(sd[chosen]) & ~np.isin(chosen, calibrated.commanded)][:1]:
             one = model.channels[k]
             raise InputError(
-                f"--sensors: found {one.name} whose noise is not known, expected --like READINGS.csv with readings of "
-                f"it and a column {one.stem}_sd_{one.unit}"
+                f"--sensors: found {one.name} whose noise is not known, expected --noise-from READINGS.csv with "
+                f"readings of it and a column {one.stem}_sd_{one.unit}"
             )
         sd[~np.isin(np.arange(len(sd)), chosen)] = np.nan
     sd[calibrated.commanded] = 1.0

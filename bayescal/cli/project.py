@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import WIDE, Experiment, Force, NoPlugins, Trust, app, echo, make_console, put
+from bayescal.cli.app import WIDE, AllowChangedFiles, Experiment, NoCustomCode, Trust, app, echo, make_console, put
 from bayescal.errors import InputError
 from bayescal.files.manifest import MANIFEST, overlooking
 
@@ -18,16 +18,16 @@ from bayescal.files.manifest import MANIFEST, overlooking
 def report(
     results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Results directory.")],
     trust: Trust = False,
-    force: Force = False,
+    allow_changed_files: AllowChangedFiles = False,
 ) -> None:
-    """Write the page of a results directory anew, from its files alone."""
+    """Write the page of a results directory again, from its files alone."""
     del trust
     from joblib import cpu_count
 
-    from bayescal.experiments.frame.engine import stop_workers
-    from bayescal.experiments.frame.run import write_report
+    from bayescal.experiments.runner.engine import stop_workers
+    from bayescal.experiments.runner.run import write_report
 
-    with overlooking(force):
+    with overlooking(allow_changed_files):
         echo(f"wrote {write_report(results, workers=cpu_count())}")
     stop_workers()
 
@@ -51,22 +51,22 @@ def show(
 def compare(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
     trust: Trust = False,
-    force: Force = False,
+    allow_changed_files: AllowChangedFiles = False,
 ) -> None:
     """Set several results side by side; of studies of the same data, rank their variants together."""
     del trust
-    from bayescal.experiments.frame.run import compare_results
+    from bayescal.experiments.runner.run import compare_results
 
-    with overlooking(force):
+    with overlooking(allow_changed_files):
         experiment, table = compare_results(results)
     experiment.show_comparison(table, make_console(WIDE))
 
 
 @app.command(epilog="Example: bayescal validate experiments/telescope/study.toml")
-def validate(experiment: Experiment, no_plugins: NoPlugins = False, trust: Trust = False) -> None:
+def validate(experiment: Experiment, no_custom_code: NoCustomCode = False, trust: Trust = False) -> None:
     """Find everything at fault in a config and its files without computing, and say what a run would do."""
-    del no_plugins, trust
-    from bayescal.experiments.frame.run import check_file
+    del no_custom_code, trust
+    from bayescal.experiments.runner.run import check_file
     from bayescal.files.plain_text import add_article
 
     config, found = check_file(experiment)
@@ -119,12 +119,12 @@ def _ask(option: str, choices: list[str]) -> str:
     return answer.strip()
 
 
-@app.command(epilog="Example: bayescal seal results/telescope")
-def seal(
+@app.command("update-manifest", epilog="Example: bayescal update-manifest results/telescope")
+def update_manifest(
     results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories.")],
 ) -> None:
-    """Take the files of results as they are now: those of earlier versions, and those that you changed on purpose."""
-    from bayescal.experiments.frame.results import read_results
+    """Write the manifest of results (SHA-256 of each file) as they are now, for files that you changed on purpose."""
+    from bayescal.experiments.runner.results import read_results
     from bayescal.files.manifest import write_manifest
 
     for folder in results:
@@ -162,7 +162,7 @@ def list_names(
     ] = None,
 ) -> None:
     """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
-    from bayescal.experiments.frame.load import list_entries, list_sorts
+    from bayescal.experiments.runner.load import list_entries, list_sorts
 
     console = make_console()
     sorts = list_sorts() if sort is None else {sort: list_sorts().get(sort, "")}
@@ -178,6 +178,6 @@ def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of exp
     """Print the JSON Schema of a kind's config, by which editors complete and check it."""
     import json
 
-    from bayescal.experiments.frame.load import describe_schema
+    from bayescal.experiments.runner.load import describe_schema
 
     echo(json.dumps(describe_schema(kind), indent=1, ensure_ascii=False))

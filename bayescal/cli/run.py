@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from bayescal.cli.app import (
+    AllowUnconverged,
     Experiment,
-    NoPlugins,
+    NoCustomCode,
     RunOptions,
     Seed,
     Trust,
@@ -21,7 +22,7 @@ from bayescal.cli.app import (
     spread_options,
 )
 from bayescal.errors import InputError, NumericalError, name_faults
-from bayescal.experiments.frame.interrupts import end_on_interrupt
+from bayescal.experiments.runner.interrupts import end_on_interrupt
 
 if TYPE_CHECKING:
     from bayescal.config.sections import ExperimentConfig
@@ -40,7 +41,7 @@ def audit(
     design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Machine, tolerances, plan and requirements.")],
     options: RunOptions,
 ) -> None:
-    """Tell what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
+    """Audit what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
     run_file(design, "audit", options)
 
 
@@ -50,29 +51,29 @@ def sweep(
     config: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="Experiment, keys that vary and figures.")],
     options: RunOptions,
 ) -> None:
-    """Vary keys of an experiment and tell what becomes of its figures: `bayescal run` of a sweep."""
+    """Vary keys of an experiment and compare its results: `bayescal run` of a sweep."""
     run_file(config, "sweep", options)
 
 
-@app.command(epilog="Example: bayescal check experiments/telescope/study.toml --variant six_pus/matrix")
+@app.command(epilog="Example: bayescal selftest experiments/telescope/study.toml --variant six_pus/matrix")
 @spread_options
-def check(
+def selftest(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
     options: RunOptions,
-    variant: Annotated[list[str] | None, typer.Option(help="Variant to check; default the best by evidence.")] = None,
+    variant: Annotated[list[str] | None, typer.Option(help="Variant to test; default the best by evidence.")] = None,
     data_sets: Annotated[
         int | None, typer.Option(min=4, max=10_000, help="Simulated of priors and posterior each.")
     ] = None,
 ) -> None:
-    """Check a study's config: simulation-based calibration, and the usual faults looked for one by one."""
-    from bayescal.experiments.check.kind import configure_check
+    """Test a study's config: simulation-based calibration, and the usual faults looked for one by one."""
+    from bayescal.experiments.selftest.kind import configure_selftest
 
-    run_config(configure_check(study, variant or [], data_sets, options.seed), study, options)
+    run_config(configure_selftest(study, variant or [], data_sets, options.seed), study, options)
 
 
 def run_file(path: Path, kind: str | None, options: RunOptions) -> None:
     """Run a config's file; of one kind alone where that is named."""
-    from bayescal.experiments.frame.load import load_experiment, load_kind
+    from bayescal.experiments.runner.load import load_experiment, load_kind
 
     config = load_experiment(path) if kind is None else load_kind(path, kind)
     if options.seed is not None:
@@ -84,12 +85,12 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
     """Run a config that was read from a file, show what it found, and fail where it did not converge."""
     from joblib import cpu_count
 
-    from bayescal.experiments.frame.engine import stop_workers
-    from bayescal.experiments.frame.run import run_experiment
+    from bayescal.experiments.runner.engine import stop_workers
+    from bayescal.experiments.runner.run import run_experiment
 
-    workers, scheduler = options.workers, options.scheduler
+    workers, scheduler = options.workers, options.dask_scheduler
     if workers is not None and scheduler is not None:
-        raise InputError("--workers: found it beside --scheduler, expected one of them")
+        raise InputError("--workers: found it beside --dask-scheduler, expected one of them")
     where = options.out if options.out is not None else Path("results") / config.name
     interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):
@@ -105,11 +106,11 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
         )
 
 
-@app.command("next", epilog="Example: bayescal next experiments/m2_hexapod/next.toml")
+@app.command("next-pose", epilog="Example: bayescal next-pose experiments/m2_hexapod/next_pose.toml")
 @spread_options
 def next_pose(
     study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="Config of the study, or a file that names it and asks more.")
+        Path, typer.Argument(metavar="STUDY.toml", help="Study config, or a next-pose config that refers to one.")
     ],
     options: RunOptions,
     variant: Annotated[list[str] | None, typer.Option(help="Variant that may be right; default all.")] = None,
@@ -117,10 +118,10 @@ def next_pose(
         list[str] | None, typer.Option(metavar="NAME=VALUE", help="Largest error of the tool allowed, mm or degrees.")
     ] = None,
 ) -> None:
-    """Tell after the poses measured so far which one to measure next, what it will bring, and whether to stop."""
-    from bayescal.experiments.next.kind import configure_next
+    """Recommend the next pose to measure, with what it will bring, or to stop."""
+    from bayescal.experiments.next_pose.kind import configure_next_pose
 
-    run_config(configure_next(study, variant or [], require or [], options.seed), study, options)
+    run_config(configure_next_pose(study, variant or [], require or [], options.seed), study, options)
 
 
 @app.command(epilog="Example: bayescal table experiments/m2_hexapod_table/table.toml")
@@ -128,14 +129,18 @@ def next_pose(
 def table(
     config: Annotated[Path, typer.Argument(metavar="TABLE.toml", help="Calibration, axes and reference of the table.")],
     options: RunOptions,
-    force: Annotated[bool, typer.Option("--force", help="Take a posterior that did not converge, too.")] = False,
+    allow_unconverged: AllowUnconverged = False,
 ) -> None:
-    """Tell what actuators have to do by elevation, temperature and the like: `bayescal run` of a look-up table."""
-    from bayescal.experiments.frame.load import load_kind
+    """Compute what actuators have to do by elevation, temperature and the like: `bayescal run` of a look-up table."""
+    from bayescal.experiments.runner.load import load_kind
 
     found = load_kind(config, "table")
     changed = {} if options.seed is None else {"seed": options.seed}
-    run_config(found.model_copy(update={**changed, **({"force": True} if force else {})}), config, options)
+    run_config(
+        found.model_copy(update={**changed, **({"allow_unconverged": True} if allow_unconverged else {})}),
+        config,
+        options,
+    )
 
 
 @app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
@@ -143,13 +148,13 @@ def simulate(
     config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
     out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
     seed: Seed = None,
-    no_plugins: NoPlugins = False,
+    no_custom_code: NoCustomCode = False,
     trust: Trust = False,
 ) -> None:
     """Simulate photogrammetry, an instrument's or a machine's own readings; the config states the truth."""
-    del no_plugins, trust
-    from bayescal.experiments.frame.load import load_kind
-    from bayescal.experiments.frame.run import compute_experiment
+    del no_custom_code, trust
+    from bayescal.experiments.runner.load import load_kind
+    from bayescal.experiments.runner.run import compute_experiment
     from bayescal.files.atomic import check_writable, make_directory, write_atomically
 
     loaded = load_kind(config, "simulation")
@@ -170,26 +175,26 @@ def simulate(
 def poses_from_targets(
     experiment: Experiment,
     out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
-    method: Annotated[str | None, typer.Option(help="robust, line or least_squares, in place of the config's.")] = None,
+    method: Annotated[str | None, typer.Option(help="robust, line or least_squares, instead of the config's.")] = None,
     trust: Trust = False,
 ) -> None:
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""
     del trust
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
-    from bayescal.experiments.frame.load import load_kind
+    from bayescal.experiments.runner.load import load_kind
     from bayescal.experiments.shared.readings.measurement import read_measurement
     from bayescal.experiments.study.tables import format_poses
     from bayescal.machines.read import load_mechanism
 
     config = load_kind(experiment, "study")
     check_out(out)
-    found = "tables of readings" if config.by_tables else config.measured.measurement
+    found = "tables of readings" if config.by_tables else config.measured.instrument
     if found != "targets":
-        raise InputError(f"{experiment}: data.measurement: found {found!r}, expected 'targets'")
+        raise InputError(f"{experiment}: data.instrument: found {found!r}, expected 'targets'")
     if method is not None:
-        look_up(METHODS, method, "--method", experiment)
-        config = config.model_copy(update={"data": config.data.model_copy(update={"pose_method": method})})
+        look_up(METHODS, method, "--method")
+        config = config.model_copy(update={"data": config.data.model_copy(update={"pose_estimator": method})})
     folder = experiment.parent
     measured = read_measurement(config, folder, load_mechanism(folder / config.machine))
-    put(format_poses(measured, config.origin), out)
+    put(format_poses(measured, config.provenance), out)

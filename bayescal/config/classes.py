@@ -155,7 +155,7 @@ def _schema_of(found: type) -> type[Section]:
 
 
 @dataclass(frozen=True)
-class Choice[T]:
+class ClassReference[T]:
     """A class that a config names, with its checked options."""
 
     found: type[T]
@@ -163,22 +163,22 @@ class Choice[T]:
 
 
 def choose[T](
-    what: str, name: str, base: type[T], field: str, where: Path, options: Mapping[str, Any] | None = None
-) -> Choice[T]:
+    what: str, name: str, base: type[T], field: str, folder: Path, options: Mapping[str, Any] | None = None
+) -> ClassReference[T]:
     """Return the class of a registry that a config names, a subclass of a base, and its options.
 
-    ``field`` and ``where`` say where the name stands, for the message; names of files start there. ``options`` are
-    those that stand beside the name, and not with it.
+    ``field`` says where the name stands, for the message, whose file the caller adds; names of files start at
+    ``folder``. ``options`` are those that stand beside the name, and not with it.
     """
     known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
-    found = name.found if known else find_class(what, name, base, field, where, where)  # type: ignore[attr-defined]
+    found = name.found if known else find_class(what, name, base, field, None, folder)  # type: ignore[attr-defined]
     given = dict(name.options) if options is None and isinstance(name, ClassName) else dict(options or {})
-    return Choice(found, check_section(_schema_of(found), given, where / field, ""))
+    return ClassReference(found, check_section(_schema_of(found), given, Path(field), "", folder))
 
 
 @contextmanager
-def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
-    """Make one line of whatever somebody else's class raises while it is made, with where its name stands."""
+def name_failures(found: type, field: str) -> Iterator[None]:
+    """Make one line of whatever somebody else's class raises while it is made, with the field of its name."""
     try:
         yield
     except BayescalError:
@@ -189,7 +189,7 @@ def name_failures(found: type, field: str, where: Path) -> Iterator[None]:
         text = " ".join(str(error).split())
         hint = ": __init__(self, config) takes the options of its file" if "positional argument" in text else ""
         raise InputError(
-            f"{where}: {field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
+            f"{field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
             f"expected one that can be made{hint}"
         ) from error
 

@@ -20,7 +20,7 @@ EXTENDS = "extends"
 MAX_DEPTH = 8
 FOLDER = "folder"
 """Where names of files start, in the context of a validation."""
-OWN = "a class of one's own"
+OWN = "a user-defined class"
 """The branch of a union that is a section of somebody else's class."""
 MEASURED = "measured-"
 """Begins the tags of unions whose branches are told apart by more than a key that has to be there."""
@@ -67,20 +67,22 @@ def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     for key, value in above.items():
         old = below.get(key)
         if isinstance(old, dict) and isinstance(value, dict):
-            another = any(tag in value and old.get(tag) != value[tag] for tag in ("kind", "plan", "prior", "class"))
+            another = any(tag in value and old.get(tag) != value[tag] for tag in ("kind", "sampling", "prior", "class"))
             result[key] = value if another else merge(old, value)
         else:
             result[key] = value
     return result
 
 
-def check_section[S: Section](schema: type[S], content: dict[str, Any], path: Path, text: str) -> S:
-    """Return content as a section, the classes that it names looked up beside its file.
+def check_section[S: Section](
+    schema: type[S], content: dict[str, Any], path: Path, text: str, folder: Path | None = None
+) -> S:
+    """Return content as a section, the classes that it names looked up beside its file, or in another ``folder``.
 
     InputError with file, line, field, found and expected where it is none.
     """
     try:
-        return schema.model_validate(content, context={FOLDER: path.parent})
+        return schema.model_validate(content, context={FOLDER: path.parent if folder is None else folder})
     except ValidationError as error:
         first, *others = (_describe(fault, schema, path, text) for fault in _choose_faults(error))
         raise InputError(first, others) from error
@@ -112,8 +114,6 @@ def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
     where = f"{path}, line {line}: {field}" if line else f"{path}: {field}"
     if fault["type"] == "extra_forbidden":
         sections, key = _find_sections(schema, _keys_of(fault["loc"], tags=True)[:-1]), str(location[-1])
-        for successor in (one.gone[key] for one in sections if issubclass(one, Section) and key in one.gone):
-            return f"{where}: key is gone, expected {successor}"
         return f"{where}: {describe_unknown_key(sorted({k for one in sections for k in one.model_fields}), key)}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "missing":
@@ -181,10 +181,10 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f", did you mean {close[0]!r}?" if close else ""
 
 
-def look_up[T](registry: Mapping[str, T], name: str, what: str, where: Path) -> T:
+def look_up[T](registry: Mapping[str, T], name: str, what: str) -> T:
     """Return the entry of a registry; InputError with the nearest name where there is none."""
     if name not in registry:
-        raise InputError(f"{where}: {what}: {describe_unknown(registry, name)}")
+        raise InputError(f"{what}: {describe_unknown(registry, name)}")
     return registry[name]
 
 

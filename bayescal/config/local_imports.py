@@ -103,7 +103,7 @@ class _Source(SourceFileLoader):
         return self.source_to_code(self.content, self.path)
 
 
-class _Beside(MetaPathFinder):
+class _NeighbourFinder(MetaPathFinder):
     """Finds the modules beside a file that its text imports, and no others."""
 
     def __init__(self, modules: Mapping[str, Path], contents: Mapping[Path, bytes]) -> None:
@@ -113,7 +113,7 @@ class _Beside(MetaPathFinder):
         del path, target
         file = self.modules.get(name)
         if file is not None:
-            found = spec_from_file_location(name, file, loader=_Source(name, file, self.contents[file]))
+            found = spec_from_file_location(name, str(file), loader=_Source(name, file, self.contents[file]))
             if found is not None and file.name == "__init__.py":
                 found.submodule_search_locations = []  # what is in it is found here alone
             return found
@@ -132,11 +132,11 @@ def import_from(name: str, path: Path, local: Mapping[str, Path], contents: Mapp
     """
     for one in local:
         sys.modules.pop(one, None)
-    specification = spec_from_file_location(name, path, loader=_Source(name, path, contents[path]))
+    specification = spec_from_file_location(name, str(path), loader=_Source(name, path, contents[path]))
     assert specification is not None
     assert specification.loader is not None
     sys.modules[name] = module_from_spec(specification)
-    finder = _Beside(local, contents)
+    finder = _NeighbourFinder(local, contents)
     sys.meta_path.insert(0, finder)
     try:
         specification.loader.exec_module(sys.modules[name])

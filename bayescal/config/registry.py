@@ -22,11 +22,11 @@ from typing import Any
 
 import cloudpickle
 
-from bayescal import list_elsewhere
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
 from bayescal.config.trust import are_own_classes_allowed, hash_file, permit
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
+from bayescal.search_path import list_elsewhere
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Registry:
 
 _MACHINES, _POSES = "bayescal.machines", "bayescal.pose_selection"
 REGISTRIES = {
-    "KINDS": Registry(("bayescal.experiments",), "bayescal.kinds", "bayescal.experiments.frame.experiment:Experiment"),
-    "BLOCKS": Registry((), "bayescal.blocks", "bayescal.experiments.frame.blocks:PageBlock"),
+    "KINDS": Registry(("bayescal.experiments",), "bayescal.kinds", "bayescal.experiments.runner.experiment:Experiment"),
+    "BLOCKS": Registry((), "bayescal.blocks", "bayescal.experiments.runner.blocks:PageBlock"),
     "CLAIMS": Registry(("bayescal.experiments",), "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
     "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
     "INSTRUMENTS": Registry(
@@ -62,6 +62,7 @@ REGISTRIES = {
     "ERRORS": Registry(
         ("bayescal.density.calibration",), "bayescal.errors", "bayescal.density.calibration.terms:ErrorTerm"
     ),
+    "SAMPLERS": Registry(("bayescal.inference",), "bayescal.samplers", "bayescal.inference.samplers:Sampler"),
     "SENSORS": Registry((f"{_MACHINES}.sensors",), "bayescal.sensors", f"{_MACHINES}.sensors:Sensor"),
     "CRITERIA": Registry(
         (f"{_POSES}.criteria",), "bayescal.criteria", f"{_POSES}.criteria:Criterion", ("name", "title", "source")
@@ -109,19 +110,20 @@ def _refer(found: type) -> str:
     return f"{found.__module__}:{found.__qualname__}"
 
 
-def find_class[T](what: str, name: str, base: type[T], field: str, where: Path, folder: Path | None) -> type[T]:
+def find_class[T](what: str, name: str, base: type[T], field: str, file: Path | None, folder: Path | None) -> type[T]:
     """Return a class by its name, or by ``file.py:Class``, or by the ``module:Class`` of an entry point.
 
-    ``what`` is one of `REGISTRIES`; ``field`` and the file ``where`` say where the name stands, for the message; a
-    file's name starts at ``folder``, None where only known names may be given. InputError for an unknown name, a module
-    that fails to import, and what is no subclass of ``base``.
+    ``what`` is one of `REGISTRIES`; ``field`` and ``file`` say where the name stands, for the message, without a file
+    where the caller says it; a file's name starts at ``folder``, None where only known names may be given.
+    InputError for an unknown name, a module that fails to import, and what is no subclass of ``base``.
     """
-    try:
-        found = load_class(what, name, folder)
-    except InputError as error:
-        raise InputError(f"{where}: {field}: {error}") from error
-    if not issubclass(found, base):
-        raise InputError(f"{where}: {field}: found {name!r}, which is no {base.__name__}, expected a subclass of it")
+    with name_faults(file or ""):
+        try:
+            found = load_class(what, name, folder)
+        except InputError as error:
+            raise InputError(f"{field}: {error}") from error
+        if not issubclass(found, base):
+            raise InputError(f"{field}: found {name!r}, which is no {base.__name__}, expected a subclass of it")
     return found
 
 
@@ -137,7 +139,7 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
         known = ", ".join(sorted(built_in))
-        raise InputError(f"found {name!r}, which is no built-in one, and --no-plugins; expected one of {known}")
+        raise InputError(f"found {name!r}, which is no built-in one, and --no-custom-code; expected one of {known}")
     beside = name not in references and is_file(name)
     if not beside and name not in {*references, *references.values()} and not location.startswith("bayescal."):
         raise InputError(

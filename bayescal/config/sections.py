@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
@@ -47,11 +47,6 @@ InputFile = Annotated[str, FileMark()]
 class Section(BaseModel):
     """A table of a config: unknown keys and wrong types are errors; docstrings of its fields describe the keys.
 
-    Attributes
-    ----------
-    gone : mapping of str to str
-        Keys that are no more, and what replaces each, as the message says it.
-
     Examples
     --------
     >>> class RodConfig(bc.Section):
@@ -60,8 +55,6 @@ class Section(BaseModel):
     >>> RodConfig(length_mm=120.0)
     RodConfig(length_mm=120.0)
     """
-
-    gone: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
 
@@ -122,5 +115,5 @@ class ExperimentConfig(Section):
     """Headline of the page."""
     seed: Annotated[int, Field(ge=0, le=LARGEST_SEED)]
     """Seed of all random numbers: the same seed gives the same results."""
-    blocks: list[str] = Field(default=[], exclude_if=lambda value: not value)
-    """Blocks of one's own that the page has besides, each `file.py:Class`."""
+    page_sections: list[str] = Field(default=[], exclude_if=lambda value: not value)
+    """Custom sections that the page has besides, each `file.py:Class`."""

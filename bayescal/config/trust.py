@@ -75,7 +75,7 @@ def permit(files: Mapping[Path, bytes], folder: Path) -> None:
     policy, hashes = _find_policy(), {path: hash_file(content) for path, content in files.items()}
     if set(hashes.values()) <= _trusted_here:
         return
-    code = f"{', '.join(os.path.relpath(path, folder.resolve()) for path in files)} in {folder}"
+    code = f"{', '.join(str(path.relative_to(folder.resolve(), walk_up=True)) for path in files)} in {folder}"
     if not policy.everything and os.environ.get(TRUST, "0") in ("", "0"):
         kept = _read_kept()
         unknown = [path for path, found in hashes.items() if found not in kept and found not in _trusted_here]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.errors import InputError, name_faults
-from bayescal.files.csv_tables import Table, read_matrix, read_table
+from bayescal.files.csv_tables import CsvTable, read_matrix, read_table
 from bayescal.numerics.geometry import Array
 
 OVERTRAVEL = 0.05
@@ -31,7 +31,7 @@ def read_actuators(path: Path, n_legs: int) -> tuple[list[str], np.ndarray, Arra
     return poses, read_uses(table), table.numbers(name_actuators(n_legs))
 
 
-def read_uses(table: Table) -> np.ndarray:
+def read_uses(table: CsvTable) -> np.ndarray:
     """Return which rows of a table are for verification; InputError for another use."""
     uses = table.text("use")
     for row, use in enumerate(uses):
@@ -57,7 +57,7 @@ def check_range(actuators: Array, home: Array, largest: float, names: Sequence[s
 
 
 def _explain(actuators: Array, home: Array, limit: float) -> str:
-    """Return what was perhaps written in place of positions in mm, found by trying it."""
+    """Return what was perhaps written instead of positions in mm, found by trying it."""
     tried = {
         "; they look like displacements from the initial positions": actuators + home,
         "; they look like metres": 1e3 * actuators,

@@ -10,19 +10,19 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.numerics.geometry import Array
 
-FEW = 3
+MIN_POSES = 3
 
 
 def check_repeated(names: Sequence[str], readings: Array, verification: np.ndarray) -> None:
     """Raise InputError where two poses have the same readings to the last digit: one measurement, copied.
 
-    Readings (P, ...) are as measured, noise included; NaN where nothing was. Fewer than `FEW` numbers may agree by
-    chance. A copy of a calibration pose verifies nothing.
+    Readings (P, ...) are as measured, noise included; NaN where nothing was. Fewer than `MIN_POSES` numbers may agree
+    by chance. A copy of a calibration pose verifies nothing.
     """
     flat = readings.reshape(len(names), -1)
     first: dict[bytes, int] = {}
     for k, row in enumerate(flat):
-        if np.isfinite(row).sum() < FEW or not np.any(row[np.isfinite(row)]):
+        if np.isfinite(row).sum() < MIN_POSES or not np.any(row[np.isfinite(row)]):
             continue
         earlier = first.setdefault(row.tobytes(), k)
         if earlier != k:

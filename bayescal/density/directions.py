@@ -1,7 +1,7 @@
 """Errors that a named cause makes, as few columns: lead errors, joints that err by squares of the tilt, loads.
 
-Sorts of functions (`bayescal.density.sorts`) take part in every posterior by default; these do not. They are tried
-beside the sorts when a cause is to be named, as directions that the geometry lacks: coefficients c ~ N(0, s²) of
+Sorts of functions (`bayescal.density.pose_kernels`) take part in every posterior by default; these do not. They are
+tried beside the sorts when a cause is to be named, as directions that the geometry lacks: coefficients c ~ N(0, s²) of
 
     lead      of each actuator by itself, linear in its own position
     joints    of each actuator by itself, squares and products of the pose's angles; of its coordinates without angles

@@ -24,6 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayescal.density.linear_gaussian import factorise, half_log_det
 from bayescal.density.outliers import Outliers
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
@@ -248,8 +249,7 @@ def _conclude(
     if np.ndim(signs):  # the curvature is that of no maximum; the determinant of the prior is one or minus one
         log_volume = -0.5 * np.linalg.slogdet(curvature)[1]
     else:
-        factor = np.linalg.cholesky(curvature)
-        log_volume = -np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+        log_volume = -half_log_det(factorise(curvature.copy()))
     return Coefficients(mean, curvature, log_volume, error - _act(columns, mean), trust, columns, signs)
 
 
@@ -271,7 +271,7 @@ def _reweight(error: Array, columns: Array, outliers: Outliers, spare: np.ndarra
 
 
 def _accumulate(columns: Array, rows: Array, trust: Array, signs: Array | float = 1.0) -> tuple[Array, Array]:
-    """Return 1 + AᵀWA and AᵀW times rows (B, P, m); signs in place of ones."""
+    """Return 1 + AᵀWA and AᵀW times rows (B, P, m); signs instead of ones."""
     if (trust != 1.0).any():
         root = np.sqrt(trust)[..., None]
         columns, rows = root[..., None] * columns, root * rows

@@ -17,7 +17,7 @@ out 0.83 to 0.90 times as large as it is, m being 1 to 6. So rows have the state
 of readings: some of a row's are distributed as those of a row that has no more.
 
 A contaminated normal density (Tukey 1960; its weights are those of Box and Tiao 1968) has a share ε of such rows, but
-for κ in place of c, among others that are as stated,
+for κ instead of c, among others that are as stated,
 
     p(r) = (1 - ε) N(r) + ε κ^-m t_ν(r / κ),    ε ~ Beta(1, 1/μ - 1),
 

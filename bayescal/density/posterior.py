@@ -14,7 +14,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.components import LinearGeometry, LinearRows
 from bayescal.density.priors import HALF_LOG_TWO_PI, Prior
 from bayescal.machines.parameters import ParameterLayout
@@ -22,7 +22,7 @@ from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Funnel:
+class ScaleDependence:
     """How the geometry depends on the model errors around a point."""
 
     information: Array  # (m, m): of the data on the geometry
@@ -77,7 +77,7 @@ class Sampling(ABC):
     def y_from_theta(self, theta: Array) -> Array:
         """Return coordinates of parameter vectors, (..., D) to (..., m)."""
 
-    def adopt(self, theta: Array) -> Array:
+    def to_coordinates(self, theta: Array) -> Array:
         """Return the same, of machines that may lie beyond the priors' bounds, brought within; by default none has."""
         return self.y_from_theta(theta)
 
@@ -110,8 +110,8 @@ class Sampling(ABC):
     def draw(self, standard: Array) -> Array:
         """Return draws of the prior from standard normal numbers (S, m); NaN where they are no coordinates."""
 
-    def jumps(self, y: Array) -> list[tuple[int, Array]]:
-        """Return where other modes may be, seen from y (m,); see `Target.jumps`. By default none is expected."""
+    def mode_candidates(self, y: Array) -> list[tuple[int, Array]]:
+        """Return where other modes may be, seen from y (m,), none by default; see `LogDensity.mode_candidates`."""
         del y
         return []
 
@@ -120,7 +120,7 @@ class Sampling(ABC):
         return []
 
 
-class Elimination[S: Sampling, E: Errors](ABC):
+class Elimination[S: Sampling, E: ErrorModel](ABC):
     """The density of measured rows under a machine θ (D,) and errors with coordinates ζ (k,), the poses eliminated."""
 
     layout: ParameterLayout
@@ -157,7 +157,7 @@ class Elimination[S: Sampling, E: Errors](ABC):
         """Return the log-density of each of Q other rows given these, shape (B, Q); by default these say nothing."""
         return other.density_by_row(theta, errors, zeta)
 
-    def anchored(self, sampling: S, errors: E) -> Self:
+    def with_pose_guesses(self, sampling: S, errors: E) -> Self:
         """Return the same density, prepared for machines that explain the data; by default as it is."""
         del sampling, errors
         return self
@@ -178,15 +178,15 @@ class Elimination[S: Sampling, E: Errors](ABC):
         """Return what one row tells of the geometry's coordinates beyond all others, shape (m, m)."""
 
     @abstractmethod
-    def approach(self, sampling: S, errors: E) -> Array:
+    def least_squares_start(self, sampling: S, errors: E) -> Array:
         """Return initial values near the mode, shape (m + k,)."""
 
     @abstractmethod
-    def polish(self, sampling: S, errors: E, y: Array) -> Array:
+    def refine_geometry(self, sampling: S, errors: E, y: Array) -> Array:
         """Return y, shape (m + k,), with the geometry that is best at its errors."""
 
     @abstractmethod
-    def finer(self) -> Self | None:
+    def exact(self) -> Self | None:
         """Return the same density without what it leaves out for speed; None where that is nothing."""
 
     def begin_at(self, sampling: S) -> Array:
@@ -214,14 +214,14 @@ class Elimination[S: Sampling, E: Errors](ABC):
         return None
 
     @abstractmethod
-    def funnel(self, sampling: S, errors: E, y: Array) -> Funnel | None:
+    def scale_dependence(self, sampling: S, errors: E, y: Array) -> ScaleDependence | None:
         """Return how the geometry depends on the errors at y, shape (m + k,); None where it does not."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
-    """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.Target`."""
+class Posterior[L: Elimination[Any, Any], S: Sampling, E: ErrorModel]:
+    """Posterior of the free parameters and errors of one variant; a `bayescal.inference.target.LogDensity`."""
 
     likelihood: L  # density of the measurements at the calibration poses
     priors: Mapping[str, Prior]  # of the free parameters
@@ -287,9 +287,9 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         """Return everything that is free in its own unit, (..., n)."""
         return np.concatenate([self.sampling.natural(self.theta(y)), self.errors.natural(self.zeta(y))], axis=-1)
 
-    def adopt(self, theta: Array, zeta: Array) -> Array:
+    def to_coordinates(self, theta: Array, zeta: Array) -> Array:
         """Return the coordinates (M, n) of machines θ (M, D), brought within the priors' bounds, and of errors ζ."""
-        return np.concatenate([self.sampling.adopt(theta), zeta], axis=-1)
+        return np.concatenate([self.sampling.to_coordinates(theta), zeta], axis=-1)
 
     # --- density -------------------------------------------------------------------------------------------------
 
@@ -332,13 +332,13 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         """Return the log-density of each of Q other rows given these, (B, n) to (B, Q)."""
         return self.likelihood.density_of_others(other, *self.at(y))
 
-    def anchored(self) -> Posterior[L, S, E]:
+    def with_pose_guesses(self) -> Posterior[L, S, E]:
         """Return the same posterior, prepared for machines that explain the data."""
-        return replace(self, likelihood=self.likelihood.anchored(self.sampling, self.errors))
+        return replace(self, likelihood=self.likelihood.with_pose_guesses(self.sampling, self.errors))
 
-    def finer(self) -> Posterior[L, S, E] | None:
+    def exact(self) -> Posterior[L, S, E] | None:
         """Return the same posterior by a density that leaves nothing out; None where there is none."""
-        likelihood = self.likelihood.finer()
+        likelihood = self.likelihood.exact()
         return None if likelihood is None else replace(self, likelihood=likelihood)
 
     # --- derivatives ---------------------------------------------------------------------------------------------
@@ -389,19 +389,19 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
 
     # --- what inference asks for besides -------------------------------------------------------------------------
 
-    def approach(self) -> Array:
+    def least_squares_start(self) -> Array:
         """Return initial values near the mode, shape (n,)."""
-        return self.likelihood.approach(self.sampling, self.errors)
+        return self.likelihood.least_squares_start(self.sampling, self.errors)
 
-    def polish(self, y: Array) -> Array:
+    def refine_geometry(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry that is best at its errors."""
-        return self.likelihood.polish(self.sampling, self.errors, y)
+        return self.likelihood.refine_geometry(self.sampling, self.errors, y)
 
-    def jumps(self, y: Array) -> list[tuple[int, Array]]:
-        """Return where other modes of the geometry and of the errors may be, seen from y; see `Target.jumps`."""
+    def mode_candidates(self, y: Array) -> list[tuple[int, Array]]:
+        """Return where other modes of geometry and errors may be, seen from y; see `LogDensity.mode_candidates`."""
         m, first = self.n_geometry, self.sampling.n_jumps + self.n_geometry
-        found = [(jump, np.append(image, y[m:])) for jump, image in self.sampling.jumps(y[:m])]
-        return found + [(first + k, np.append(y[:m], image)) for k, image in self.errors.jumps(self.zeta(y))]
+        found = [(jump, np.append(image, y[m:])) for jump, image in self.sampling.mode_candidates(y[:m])]
+        return found + [(first + k, np.append(y[:m], image)) for k, image in self.errors.mode_candidates(self.zeta(y))]
 
     def curved_ridges(self) -> list[tuple[int, np.ndarray]]:
         """Return coordinates along which the density has a curved ridge; see `Target.curved_ridges`."""
@@ -415,9 +415,9 @@ class Posterior[L: Elimination[Any, Any], S: Sampling, E: Errors]:
         """Return the errors that the geometry's uncertainty depends on, (B, n) to (B, N)."""
         return self.likelihood.funnel_errors(self.errors, self.zeta(y))
 
-    def funnel(self, y: Array) -> Funnel | None:
+    def scale_dependence(self, y: Array) -> ScaleDependence | None:
         """Return how the geometry depends on the errors at y, shape (n,); None where it does not."""
-        return self.likelihood.funnel(self.sampling, self.errors, y)
+        return self.likelihood.scale_dependence(self.sampling, self.errors, y)
 
     def linear_geometry(self, y: Array, cause: str = "") -> LinearGeometry | None:
         """Return the geometry as linear in the rows about y, shape (n,); None where `funnel` tells what errors do.

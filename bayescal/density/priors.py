@@ -21,7 +21,7 @@ from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
 from bayescal.numerics.geometry import Array
 
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-STEP = 1e-4  # of a coordinate, for curvatures by differences
+CURVATURE_STEP = 1e-4  # of a coordinate, for curvatures by differences
 
 
 class Prior(ABC):
@@ -54,7 +54,9 @@ class Prior(ABC):
 
     def curvature(self, zeta: Array) -> Array:
         """Return the second derivative, by differences where a prior does not know it."""
-        return np.asarray((self.slope(zeta + STEP) - self.slope(zeta - STEP)) / (2.0 * STEP))
+        return np.asarray(
+            (self.slope(zeta + CURVATURE_STEP) - self.slope(zeta - CURVATURE_STEP)) / (2.0 * CURVATURE_STEP)
+        )
 
     # --- moments -----------------------------------------------------------------------------------------------------
 
@@ -299,10 +301,10 @@ class LogNormalPrior(Prior):
         return self.mean * float(np.sqrt(np.expm1(self.spread**2)))
 
 
-INDEPENDENT: Final = "independent"
+INDEPENDENT: Final = "random"
 SCALE = "sigma_g"  # name of s among the free parameters
 LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
-FUNCTIONS = ("sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")  # scales of errors of several sorts at once
+FUNCTIONS = ("sigma_linear", "sigma_positioning", "sigma_smooth", "sigma_drift")  # of several sorts at once
 type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 LENGTHY = ("quadratic", "smooth")  # kernels with a length
 

@@ -101,7 +101,7 @@ class AffineSampling(Sampling):
         """Return coordinates, (..., m); NaN beyond a uniform prior's bounds."""
         return self._place(theta, 0.0)
 
-    def adopt(self, theta: Array) -> Array:
+    def to_coordinates(self, theta: Array) -> Array:
         """Return coordinates, (..., m), of machines brought within the bounds."""
         return self._place(theta, EDGE)
 
@@ -195,7 +195,7 @@ class LegSampling(Sampling):
         """Return coordinates (..., m)."""
         return self.coordinates.y_from_theta(theta)
 
-    def adopt(self, theta: Array) -> Array:
+    def to_coordinates(self, theta: Array) -> Array:
         """Return coordinates (M, m) of machines (M, D), brought within the bounds of uniform priors."""
         known, theta = self.coordinates, theta.copy()
         lower, upper = known.lower[known.bounded], known.upper[known.bounded]
@@ -279,7 +279,7 @@ class LegSampling(Sampling):
         tilted = np.array([name.startswith(components) for name in self.names], dtype=bool)
         return [(int(k), index[~tilted[index]]) for index in self.legs for k in index[tilted[index]]]
 
-    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+    def mode_candidates(self, y: Array) -> list[tuple[int, Array]]:
         """Return legs, and coordinates with the leg's direction mirrored to the other solution of the same gain.
 
         With one component of u free and κ fixed the actuator's gain along the leg, z · u, has two solutions in every

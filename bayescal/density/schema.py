@@ -1,9 +1,9 @@
-"""Sections of configs that say what is known of parameters and of a model's error beforehand."""
+"""Sections of configs: priors of parameters, and the model error."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from typing import Annotated, ClassVar, Final, Literal, Self, get_args
+from collections.abc import Collection
+from typing import Annotated, Final, Literal, Self, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -65,27 +65,16 @@ type PriorConfig = Annotated[
 ]
 
 
-type TermName = Literal["independent", "linear", "own", "smooth", "drift"]
+type TermName = Literal["random", "linear", "positioning", "smooth", "drift"]
 TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
 """What a model error may be made of, in the order in which pages tell it."""
-ALONE: Final[list[TermName]] = ["independent"]
+ALONE: Final[list[TermName]] = ["random"]
 TAU_UM: Final = 10.0
 FUNCTIONS_UM: Final = 20.0
 OF_NOISE: Final = 2.0
 """Standard deviations of the noise that functions are as large as where nothing is said, if that is more."""
 
 type TermNames = Annotated[list[TermName], AfterValidator(check_once)]
-
-STATED: Final = "terms, whose sizes are found, or, of tables of readings, [errors.NAME] of a stated scale"
-"""What replaces errors of legs that are functions of the pose, of a stated scale."""
-KERNEL: Final = (
-    "kernel",
-    "kernel_scale_um",
-    "kernel_spread",
-    "kernel_length",
-    "kernel_length_spread",
-    "kernel_per_leg",
-)
 
 
 class ModelErrorConfig(Section):
@@ -95,33 +84,32 @@ class ModelErrorConfig(Section):
     Where their scales are not stated, a coarse machine has larger ones, by the noise of its own sensors.
     """
 
-    gone: ClassVar[Mapping[str, str]] = dict.fromkeys(KERNEL, STATED)
-
     terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
-    """What it is made of, all where nothing is said: `independent` (τ, drawn anew at every pose), `linear` (in the
-    positions of all actuators: a coupling), `own` (functions of the own position: a lead error, an eccentric encoder),
-    `smooth` (any smooth function of all positions), `drift` (a random walk in measuring order); `[]` for none.
+    """What it is made of, all where nothing is said: `random` (τ, another value at every pose), `linear` (in the
+    positions of all actuators: a coupling), `positioning` (functions of the own position: a lead error, an eccentric
+    encoder), `smooth` (any smooth function of all positions), `drift` (a random walk in measuring order); `[]` for
+    none.
     """
-    scale_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    random_scale_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """Scale of the half-normal prior of the model error τ. Where nothing is said: 10 µm, or what one standard deviation
     of the noise of the machine's own sensors is at the tool if that is more.
     """
-    functions_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    systematic_scale_um: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """Scale of the half-Cauchy prior of the root mean square of each other term. Where nothing is said: 20 µm, or two
     standard deviations of that noise if that is more.
     """
-    at_least_um: NotNegative | dict[TermName, NotNegative] = Field(default=0.0, exclude_if=lambda value: value == 0.0)
-    """Root mean square that a term has at least, where it leaves no trace in the data, too: of `linear`, `own` and
-    `smooth` together, or by term.
+    floor_um: NotNegative | dict[TermName, NotNegative] = Field(default=0.0, exclude_if=lambda value: value == 0.0)
+    """Root mean square that a term has at least, where it leaves no trace in the data, too: of `linear`,
+    `positioning` and `smooth` together, or by term.
     """
-    per_leg: bool = False
-    """Whether every leg has a τ of its own, or all share one."""
+    separate_by_leg: bool = False
+    """Whether every leg, or channel, has its own τ, or all share one."""
 
     def scales(self, noise: float) -> tuple[float, float]:
         """Return the scales of the prior of τ and of those of functions, mm, by the noise of own sensors, mm."""
-        tau = max(MICROMETRE * TAU_UM, noise) if self.scale_um is None else MICROMETRE * self.scale_um
+        tau = max(MICROMETRE * TAU_UM, noise) if self.random_scale_um is None else MICROMETRE * self.random_scale_um
         usual = max(MICROMETRE * FUNCTIONS_UM, OF_NOISE * noise)
-        return tau, usual if self.functions_um is None else MICROMETRE * self.functions_um
+        return tau, usual if self.systematic_scale_um is None else MICROMETRE * self.systematic_scale_um
 
     def of(self, own: list[TermName] | None) -> Self:
         """Return the model error of a variant: with its own terms, or those of all where it has none."""
@@ -129,10 +117,10 @@ class ModelErrorConfig(Section):
 
     def floors(self) -> dict[TermName, float]:
         """Return the least root mean square of each term that has one, µm."""
-        if isinstance(self.at_least_um, dict):
-            return {name: one for name, one in self.at_least_um.items() if one > 0.0 and name in self.terms}
+        if isinstance(self.floor_um, dict):
+            return {name: one for name, one in self.floor_um.items() if one > 0.0 and name in self.terms}
         together: list[TermName] = [one for one in LASTING if one in self.terms]
-        return {one: self.at_least_um / len(together) ** 0.5 for one in together if self.at_least_um > 0.0}
+        return {one: self.floor_um / len(together) ** 0.5 for one in together if self.floor_um > 0.0}
 
     def lengths(self) -> dict[str, float]:
         """Return the same in mm."""
@@ -140,11 +128,11 @@ class ModelErrorConfig(Section):
 
     def check_floors(self, terms: Collection[str]) -> None:
         """Raise ValueError for a floor of what is not among the terms of any variant."""
-        if isinstance(self.at_least_um, dict):
-            if strange := set(self.at_least_um) - set(terms):
-                raise ValueError(f"at_least_um: found {sorted(strange)}, expected some of the terms {[*terms]}")
-        elif self.at_least_um > 0.0 and not set(LASTING) & set(terms):
+        if isinstance(self.floor_um, dict):
+            if strange := set(self.floor_um) - set(terms):
+                raise ValueError(f"floor_um: found {sorted(strange)}, expected some of the terms {[*terms]}")
+        elif self.floor_um > 0.0 and not set(LASTING) & set(terms):
             raise ValueError(
-                f"at_least_um: found {self.at_least_um:g} with the terms {[*terms]}, expected some of {[*LASTING]} "
+                f"floor_um: found {self.floor_um:g} with the terms {[*terms]}, expected some of {[*LASTING]} "
                 "among them, or a size by term"
             )

@@ -25,16 +25,16 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.poses import Stand
+from bayescal.density.calibration.poses import PoseEstimate
+from bayescal.density.linear_gaussian import ConditionalNormal, condition, whiten
 from bayescal.density.priors import HalfNormalPrior
 from bayescal.errors import NumericalError
 from bayescal.numerics.geometry import Array
 
 
-class LinearRows(NamedTuple):
+class LinearisedRows(NamedTuple):
     """Rows at one machine.
 
     ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
@@ -93,7 +93,7 @@ class ReadingRows:
             return np.zeros((*errors.shape[:-1], 0))
         return np.repeat(self.posterior.errors.amplitudes(errors), self.widths, axis=-1)
 
-    def linearise(self, theta: Array, pose: Array | None = None) -> LinearRows:
+    def linearise(self, theta: Array, pose: Array | None = None) -> LinearisedRows:
         """Return what no pose explains of the readings at a machine (D,), white by the stated noise.
 
         About the poses that explain them best, or about others near these, (P, q).
@@ -104,7 +104,7 @@ class ReadingRows:
         with np.errstate(all="ignore"):
             where = likelihood.stand(theta[None], white).pose if pose is None else pose[None]
             error, slope, by_parameters = likelihood.linearise(theta[None], where, white, with_parameters=True)
-            volume = likelihood.log_volume(Stand(where, error, slope), white)[0]
+            volume = likelihood.log_volume(PoseEstimate(where, error, slope), white)[0]
         q = slope.shape[-1]
         basis = np.linalg.qr(np.nan_to_num(slope[0]), mode="complete")[0][:, :, q:]
         across = np.swapaxes(basis, 1, 2)
@@ -133,7 +133,7 @@ class ReadingRows:
 
         errors = (across @ error[0][..., None])[..., 0]
         slope = -(across @ by_parameters[0])
-        return LinearRows(errors, slope, constant, covariance, basis, left, common)
+        return LinearisedRows(errors, slope, constant, covariance, basis, left, common)
 
     def evaluate(self, theta: Array, errors: Array, coefficients: Array | None = None) -> Array:
         """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,).
@@ -164,7 +164,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Expansion:
+class ThermalExpansion:
     """Lengths that grow with the temperature by a common coefficient α, normal under the prior."""
 
     name: str  # of the body
@@ -174,7 +174,7 @@ class Expansion:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class DriftModel:
     """Which parameters may move between sessions, and how."""
 
     loadings: Array  # (S, K): B; of a random walk in √month
@@ -183,7 +183,7 @@ class Drift:
     units: tuple[str, ...]  # length U: their names
     scale: Array  # (U,): of the half-normal prior of each scale σ, mm or rad, of a random walk per √month
 
-    def keep(self, units: Sequence[str]) -> Drift:
+    def keep(self, units: Sequence[str]) -> DriftModel:
         """Return the same where some units alone may move."""
         chosen = [k for k, name in enumerate(self.units) if name in units]
         place = {old: new for new, old in enumerate(chosen)}
@@ -218,8 +218,8 @@ class SessionModel:
     units: tuple[str, ...]  # length m
     mean: Array  # (m,): of their normal priors
     sd: Array  # (m,)
-    drift: Drift
-    expansions: tuple[Expansion, ...]  # length A
+    drift: DriftModel
+    expansions: tuple[ThermalExpansion, ...]  # length A
     lasting: tuple[bool, ...] = ()  # length C: which errors common to all rows of a session are so in all sessions
 
     @property
@@ -341,21 +341,7 @@ class SessionModel:
 
 
 STEPS = 30
-SMALL = 1e-7  # of a state in prior standard deviations, below which a step no longer matters
-
-
-@dataclass(frozen=True, eq=False)
-class Conditional:
-    """The state given model errors and drift scales: normal."""
-
-    mean: Array  # (n,)
-    factor: Array  # (n, n): lower Cholesky factor of its precision A
-    log_marginal: float  # Log-density of the data, the state integrated
-
-    def draw(self, normal: Array) -> Array:
-        """Return states (n,) or (n, B) for standard normal numbers of that shape."""
-        moved = np.linalg.solve(self.factor.T, normal)
-        return moved + (self.mean if moved.ndim == 1 else self.mean[:, None])
+MIN_STATE_STEP = 1e-7  # of a state in prior standard deviations, below which a step no longer matters
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,24 +359,19 @@ class LinearSessions:
 
     def gather(self, errors: Array) -> tuple[Array, float]:
         """Return XᵀC⁻¹X of the rows X of each session, shape (S, M, M), and what else the log-density has."""
-        factor = np.linalg.cholesky(self.covariance(errors))
-        white = np.linalg.inv(factor) @ self.rows
-        log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+        white, volume = whiten(self.covariance(errors), self.rows)
         of_sessions = [one.reshape(-1, one.shape[-1]) for one in np.split(white, self.first[1:])]
-        return np.stack([one.T @ one for one in of_sessions]), float(self.constant.sum() - log_det)
+        return np.stack([one.T @ one for one in of_sessions]), float(self.constant.sum() - volume.sum())
 
-    def condition(self, errors: Array, scales: Array) -> Conditional:
-        """Return the state's density given what is unknown of the errors, and σ (U,)."""
+    def condition(self, errors: Array, scales: Array) -> ConditionalNormal:
+        """Return the state given what is unknown of the errors, and σ (U,); its marginal is the data's."""
         gram, rest = self.gather(errors)
         precision, slope, square = self._assemble(gram, errors, scales)
         precision[np.diag_indices_from(precision)] += 1.0
         try:
-            factor, _ = cho_factor(precision, lower=True)
+            return condition(precision, -slope[:, None], square, rest)
         except np.linalg.LinAlgError as error:
             raise NumericalError("sessions: found no joint density at these drift scales") from error
-        mean = -cho_solve((factor, True), slope)
-        marginal = rest - 0.5 * (square + slope @ mean) - np.log(np.diag(factor)).sum()
-        return Conditional(mean, np.tril(factor), float(marginal))
 
     def _assemble(self, gram: Array, errors: Array, scales: Array) -> tuple[Array, Array, float]:
         """Return JᵀC⁻¹J and JᵀC⁻¹c by the state, and cᵀC⁻¹c."""
@@ -428,7 +409,7 @@ def linearise_sessions(model: SessionModel, z: Array, scales: Array) -> LinearSe
     return LinearSessions(model, rows, covariance, np.concatenate([one.constant for one in found]), first)
 
 
-def _combine(model: SessionModel, part: Part, found: LinearRows, x: Array, alpha: Array) -> Array:
+def _combine(model: SessionModel, part: Part, found: LinearisedRows, x: Array, alpha: Array) -> Array:
     """Return the rows of a part, shape (P, R, m + A + N + 1)."""
     errors, slope = found.errors, found.slope
     by_x, by_alpha = model.slopes(part, x, alpha)
@@ -450,8 +431,8 @@ def find_state(model: SessionModel, errors: Array, scales: Array, z: Array) -> t
     """
     for _ in range(STEPS):
         linear = linearise_sessions(model, z, scales)
-        found = linear.condition(errors, scales).mean
-        if np.abs(found - z).max() < SMALL:
+        found = linear.condition(errors, scales).mean[:, 0]
+        if np.abs(found - z).max() < MIN_STATE_STEP:
             return linear, found
         z = found
     raise NumericalError(f"sessions: Gauss-Newton did not settle in {STEPS} steps")

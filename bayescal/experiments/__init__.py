@@ -2,8 +2,8 @@
 
 KINDS = {
     "audit": "bayescal.experiments.audit.kind:Audit",
-    "check": "bayescal.experiments.check.kind:Check",
     "selection": "bayescal.experiments.selection.kind:Selection",
+    "selftest": "bayescal.experiments.selftest.kind:Selftest",
     "sessions": "bayescal.experiments.sessions.kind:Sessions",
     "simulation": "bayescal.experiments.simulation.kind:Simulation",
     "study": "bayescal.experiments.study.kind:Study",
@@ -11,18 +11,5 @@ KINDS = {
     "table": "bayescal.experiments.table.kind:LookUpTable",
 }
 
-USES = {"next": "bayescal.experiments.next.kind:NextPose"}
+USES = {"next_pose": "bayescal.experiments.next_pose.kind:NextPose"}
 """What is asked of a study: it has results of its own, but no kind in its file, which names the study."""
-
-GONE = {
-    "calibration": "study",
-    "calibration_audit": "audit",
-    "next_pose": "no kind in a file that names a study, which `bayescal next` takes",
-    "calibration_simulation": "simulation",
-    "lookup_table": "table",
-    "pose_selection": "selection",
-    "reading_simulation": "simulation",
-    "self_calibration": "study",
-    "sensor_placement": "audit",
-}
-"""Kinds that are no more, and what does the same: another kind, or what to write."""

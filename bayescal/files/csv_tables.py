@@ -28,7 +28,7 @@ LARGEST = 1e9
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Text cells of a CSV file with the line each row stands on."""
 
     path: Path
@@ -103,7 +103,7 @@ class Table:
         return value
 
 
-def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str] = ()) -> Table:
+def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str] = ()) -> CsvTable:
     """Read a CSV file with these columns, in any order, and some that may be there; None takes them as they are.
 
     InputError for a missing or unreadable file, an unknown or missing column, a row of another length, or no rows; a
@@ -133,7 +133,7 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
             raise InputError(f"{path}, line {line}: found {len(cells)} cells, expected {len(header)}")
     if len(parsed) == 1:
         raise InputError(f"{path}: found no rows, expected at least one")
-    return Table(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]))
+    return CsvTable(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]))
 
 
 def _list_header_faults(header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:

@@ -25,18 +25,18 @@ SIGNATURES = (f"{MANIFEST}.sig", f"{MANIFEST}.asc")
 """A signature of the manifest beside it, as OpenSSH and OpenPGP write it, which covers all files."""
 SHOWN = 3
 
-_FORCED: ContextVar[bool] = ContextVar("faults of manifests are overlooked", default=False)
+_OVERLOOKED: ContextVar[bool] = ContextVar("faults of manifests are overlooked", default=False)
 _SAY: ContextVar[Callable[[str], None] | None] = ContextVar("takes what is said of a directory", default=None)
 
 
 @contextmanager
-def overlooking(forced: bool = True) -> Iterator[None]:
+def overlooking(allowed: bool = True) -> Iterator[None]:
     """Take directories that are not whole meanwhile, and say what is overlooked."""
-    token = _FORCED.set(forced or _FORCED.get())
+    token = _OVERLOOKED.set(allowed or _OVERLOOKED.get())
     try:
         yield
     finally:
-        _FORCED.reset(token)
+        _OVERLOOKED.reset(token)
 
 
 def say_by(say: Callable[[str], None] | None) -> None:
@@ -85,7 +85,7 @@ def check_whole(
             _refuse(folder, [f"no {MANIFEST}"])
         elif (say := _SAY.get()) is not None:
             said = f"{folder}: written by an earlier version, without {MANIFEST}: nothing says whether its files are"
-            say(f"{said} whole; bayescal seal {folder} writes it")
+            say(f"{said} whole; bayescal update-manifest {folder} writes it")
         return
     hashes, others = _read(folder)
     there = set(_list_files(folder))
@@ -103,12 +103,12 @@ def check_whole(
 def _refuse(folder: Path, faults: list[str]) -> None:
     more = f" and {len(faults) - SHOWN} more" if len(faults) > SHOWN else ""
     found = f"{folder}: found {', '.join(faults[:SHOWN])}{more}"
-    if not _FORCED.get():
-        raise InputError(f"{found}, expected the files as they were written; --force takes them as they are")
+    if not _OVERLOOKED.get():
+        raise InputError(f"{found}, expected the files as they were written, or --allow-changed-files")
     if (say := _SAY.get()) is not None:
-        say(f"{found}: overlooked by force")
+        say(f"{found}: used all the same (--allow-changed-files)")
     else:
-        warnings.warn(f"{found}: overlooked by force", stacklevel=2)
+        warnings.warn(f"{found}: used all the same (--allow-changed-files)", stacklevel=2)
 
 
 def _list_files(folder: Path) -> list[str]:

@@ -15,9 +15,11 @@ def format_toml(comments: Sequence[str], content: Mapping[str, Any]) -> str:
 
 
 def _simplify(value: Any) -> Any:
-    """Return lists in place of arrays, and tables without what is None."""
+    """Return lists instead of arrays, and tables without what is None."""
     if isinstance(value, Mapping):
         return {key: _simplify(one) for key, one in value.items() if one is not None}
+    if isinstance(value, list | tuple):
+        return [_simplify(one) for one in value]
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

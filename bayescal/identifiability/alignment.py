@@ -19,7 +19,7 @@ from bayescal.numerics.geometry import Array, matrix_from_rotation_vector, skew_
 LEAST = 0.05
 """Rms of a motion of 1 mm over the workspace, in mm, below which nobody would notice it when aligning: where a
 workspace hardly turns the tool, its offset is no other motion than a shift of the base."""
-SMALLEST = 1e-3  # mm, least size of a workspace, by which turns are compared with shifts
+MIN_WORKSPACE_MM = 1e-3  # mm, least size of a workspace, by which turns are compared with shifts
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def find_alignment(model: ReadingModel, place: Array, pose: Array) -> Alignment:
     centre = np.zeros(3)
     centre[: len(lengths)] = place[:, lengths].mean(axis=0)
     away = place[:, lengths] - centre[: len(lengths)]
-    size = max(float(np.sqrt((away**2).sum(axis=1).mean())), SMALLEST)
+    size = max(float(np.sqrt((away**2).sum(axis=1).mean())), MIN_WORKSPACE_MM)
     fields, scale = _list_fields(model, place, pose, centre, size)
     n = len(place)
     basis, visible, turned = np.linalg.svd(fields.reshape(place.size, 12) / np.sqrt(n), full_matrices=False)

@@ -39,7 +39,7 @@ class Calibrations:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class PredictionCheck:
     """Predicted posterior standard deviations against the errors of calibrations."""
 
     names: tuple[str, ...]
@@ -67,7 +67,7 @@ class Comparison:
         return result
 
 
-def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Comparison:
+def compare_with_prediction(simulated: Calibrations, covariance: Array) -> PredictionCheck:
     """Return how calibrations' errors compare with a predicted posterior covariance (m, m), in units of the tolerances.
 
     That is `Information.covariance`, or a part of `Information.errors_of_reduced`. InputError where fewer than two
@@ -83,7 +83,7 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
     own = errors / simulated.claimed
     variances, axes = np.linalg.eigh(covariance)
     lengths = ((errors @ axes) ** 2 / variances).mean(axis=1)
-    return Comparison(
+    return PredictionCheck(
         simulated.names,
         predicted,
         np.sqrt(square),
@@ -101,7 +101,7 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Compa
 
 
 @dataclass(frozen=True)
-class Kept:
+class RequirementCount:
     """How many of n calibrated machines kept a requirement in the whole workspace."""
 
     kept: int
@@ -116,7 +116,7 @@ class Kept:
         return self.low <= self.kept <= self.high
 
 
-def compare_kept(kept: int, n: int, probability: float, draws: int) -> Kept:
+def compare_kept(kept: int, n: int, probability: float, draws: int) -> RequirementCount:
     """Return the number of machines that kept a requirement beside what a claimed probability lets expect.
 
     The probability was itself counted, in so many draws; its uncertainty widens the band.
@@ -125,4 +125,4 @@ def compare_kept(kept: int, n: int, probability: float, draws: int) -> Kept:
 
     good = probability * draws
     low, high = betabinom.interval(BAND, n, good + 0.5, draws - good + 0.5)
-    return Kept(kept, n, int(low), int(high))
+    return RequirementCount(kept, n, int(low), int(high))

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from bayescal.identifiability.information import Information, complement_of, nats_from_contraction
-from bayescal.limits import DEAD, INFORMED
+from bayescal.limits import IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
 from bayescal.numerics.geometry import Array
 
 type Kind = Literal["structural", "practical", "informed"]
@@ -61,7 +61,7 @@ def find_directions(
     """
     matrix = information.matrix
     values, vectors = information.spectrum(complement_of(null_space))
-    weak = vectors[:, values / (1.0 + values) < INFORMED]
+    weak = vectors[:, values / (1.0 + values) < IDENTIFIABLE_CONTRACTION]
     preferred = np.full(len(matrix), 1e-3)
     preferred[list(fixed)] = 1.0
     structural, pivots = find_sparse_basis(null_space, fixed)
@@ -70,7 +70,7 @@ def find_directions(
     found = [Direction("structural", _unit(x), 0.0, 0.0, p) for x, p in zip(structural.T, pivots, strict=True)]
     found += _name_ridges(information, weak, null_space, preferred, pivots)
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
-        if value / (1.0 + value) >= INFORMED:
+        if value / (1.0 + value) >= IDENTIFIABLE_CONTRACTION:
             main = np.where(vector**2 >= SEEN_SHARE * np.max(vector**2), vector, 0.0)
             main *= np.sign(main[np.argmax(np.abs(main))])
             found.append(Direction("informed", _unit(main), value / (1.0 + value), 0.5 * float(np.log1p(value))))
@@ -223,10 +223,10 @@ def judge_parameters(information: Information, null_space: Array) -> tuple[Verdi
     """
     values, vectors = information.spectrum(complement_of(null_space))
     remaining = vectors**2 / (1.0 + values)
-    dead = (null_space**2).sum(axis=1) + remaining[:, values / (1.0 + values) < DEAD].sum(axis=1)
+    dead = (null_space**2).sum(axis=1) + remaining[:, values / (1.0 + values) < UNIDENTIFIABLE_CONTRACTION].sum(axis=1)
     verdicts: list[Verdict] = []
     for contraction, lost in zip(information.contraction, dead, strict=True):
-        if contraction >= INFORMED:
+        if contraction >= IDENTIFIABLE_CONTRACTION:
             verdicts.append("identifiable")
         else:
             verdicts.append("not" if lost > 0.5 * (1.0 - contraction) else "weak")

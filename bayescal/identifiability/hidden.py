@@ -56,7 +56,7 @@ def hide_in_posterior(posterior: Posterior[Any, Any, Any], y: Array, unseen: Map
     slope, natural = posterior.sampling.prior_slope(change), change[posterior.sampling.free]
     some = y[np.linspace(0, len(y) - 1, min(DRAWS, len(y))).astype(int)]
     found = []
-    for errors in (posterior.errors.floored(unseen), posterior.errors.floored({})):
+    for errors in (posterior.errors.with_floors(unseen), posterior.errors.with_floors({})):
         information = [
             posterior.likelihood.inform(theta, change, errors, zeta) + slope.T @ slope for zeta in posterior.zeta(some)
         ]

@@ -1,4 +1,4 @@
-"""Practical identifiability: information of the planned measurements against what is known beforehand.
+"""Practical identifiability: information of the planned measurements against what is known a priori.
 
 In units of the tolerances the prior is a standard normal and the measurements have the information Λ; the posterior is
 then N(0, (1 + Λ)⁻¹) to first order. Contraction of a direction v is 1 - vᵀ(1 + Λ)⁻¹v, and -½ log(1 - contraction) nats

@@ -20,13 +20,13 @@ from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class LinearisedPoses:
     """Poses (W, q) seen by some channels at one machine, to first order; those where it cannot stand are left out.
 
     ``rows`` (W, K, m): white derivative of the readings by the coordinates of the posterior, poses eliminated;
     ``whole`` (W, t, m): what the tool's place, as located with these channels, errs by them, before base and tool are
     aligned; ``noise`` (W, t): its variance, that of ``located`` (W, t, K), how white readings move it; ``alignment`` as
-    of `Slopes`.
+    of `Jacobians`.
     """
 
     pose: Array
@@ -45,13 +45,13 @@ class View:
         """Return errors (W, t, m) of the tool after any alignment."""
         return error if self.alignment is None else self.alignment.remove(error)
 
-    def unalign(self) -> View:
+    def unalign(self) -> LinearisedPoses:
         """Return the same without any alignment."""
         return replace(self, alignment=None)
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class Jacobians:
     """Derivatives at poses (W, q) of one machine, ``places`` (W,) of those that were asked for.
 
     ``noise`` (K, K), or (W, K, K) pose by pose: its covariance, zero of channels without any; ``by_pose`` (W, K, q) and
@@ -93,7 +93,7 @@ class Slopes:
         variance = np.diagonal(self.noise)
         return np.sqrt(np.divide(1.0, variance, out=np.zeros(len(variance)), where=variance > 0.0))
 
-    def seen_by(self, some: np.ndarray) -> View:
+    def select_channels(self, some: np.ndarray) -> LinearisedPoses:
         """Return the poses seen by the channels of a mask (K,)."""
         white = whiten(self.noise, some)
         slope, seen = white @ self.by_pose, white @ self.seen
@@ -104,13 +104,15 @@ class Slopes:
         whole = self.mislocate(located, seen)
         unknown = ~told[:, None]
         noise = np.where(unknown, np.nan, (located**2).sum(axis=-1))
-        return View(self.pose, rows, np.where(unknown[..., None], np.nan, whole), noise, located, self.alignment)
+        return LinearisedPoses(
+            self.pose, rows, np.where(unknown[..., None], np.nan, whole), noise, located, self.alignment
+        )
 
 
 def differentiate_poses(
     posterior: CalibrationPosterior, half: Array, y: Array, pose: Array, given: Given, aligned: bool = False
-) -> Slopes:
-    """Return what moves readings and tool at poses (W, q) of one machine y (n,), of which any channels make a `View`.
+) -> Jacobians:
+    """Return the Jacobians at poses (W, q) of one machine y (n,), of which any channels make `LinearisedPoses`.
 
     ``half`` (q,) are half widths of the workspace; with ``aligned`` errors of the tool are those that remain after base
     and tool were aligned over these poses.
@@ -129,7 +131,7 @@ def differentiate(
     pose: Array,
     given: Given,
     aligned: bool = False,
-) -> Slopes:
+) -> Jacobians:
     """Return the same of a machine (D,) whose coordinates move it by (m, D), with a covariance of its channels."""
     here = linearise_near(model, theta, pose, given)
     good = np.isfinite(here.by_pose).all(axis=(1, 2)) & np.isfinite(here.by_parameters).all(axis=(1, 2))
@@ -138,7 +140,7 @@ def differentiate(
     alignment = find_alignment(model, place, pose) if aligned else None
     here = Readings(here.values[good], here.by_pose[good], here.by_parameters[good])
     places = np.flatnonzero(good)
-    return Slopes(pose, noise, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places, alignment)
+    return Jacobians(pose, noise, here.by_pose, here.by_parameters, by_pose, direct, moves, half, places, alignment)
 
 
 def linearise_near(model: ReadingModel, theta: Array, pose: Array, given: Given) -> Readings:

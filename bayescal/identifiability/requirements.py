@@ -36,8 +36,8 @@ class Requirement:
     limit: float  # mm or rad
     # of the errors: those of a platform's pose, or what else has to be accurate, positions first
     components: tuple[str, ...] = COMPONENTS
-    # what is limited: the error at ``every_pose`` of the workspace, or its ``rms`` over them
-    of: Literal["every_pose", "rms"] = "every_pose"
+    # what is limited: the error at ``all_poses`` of the workspace, or its ``rms`` over them
+    of: Literal["all_poses", "rms"] = "all_poses"
     part: slice | None = None  # which components a norm is of, where it is not those of `NORMS`
 
     @property
@@ -55,7 +55,7 @@ class Requirement:
     def sum_up(self, error: Array) -> float:
         """Return the required quantity of errors (W, c) over W poses: the largest, or the root mean square."""
         size = self.take(error)
-        return float(size.max() if self.of == "every_pose" else np.sqrt(np.mean(size**2)))
+        return float(size.max() if self.of == "all_poses" else np.sqrt(np.mean(size**2)))
 
     def variance(self, covariance: Array) -> Array:
         """Return the variance of the quantity from covariances (..., c, c), summed over a norm's parts."""
@@ -64,18 +64,18 @@ class Requirement:
     def size(self, covariance: Array) -> float:
         """Return the standard deviation over W poses, largest or rms, of covariances (W, c, c)."""
         variance = self.variance(covariance)
-        return float(np.sqrt(variance.max() if self.of == "every_pose" else variance.mean()))
+        return float(np.sqrt(variance.max() if self.of == "all_poses" else variance.mean()))
 
     def keeps(self, error: Array) -> np.ndarray:
         """Return which machines keep the limit with errors (..., W, c) at W poses, shape (...)."""
         size = self.take(error)
-        if self.of == "every_pose":
+        if self.of == "all_poses":
             return np.asarray((size <= self.limit).all(axis=-1))
         return np.asarray(np.mean(size**2, axis=-1) <= self.limit**2)
 
 
 @dataclass(frozen=True)
-class Outlook:
+class RequirementForecast:
     """How a requirement stands, NaN and without probability where the machine's own sensors do not determine it."""
 
     requirement: Requirement
@@ -111,7 +111,7 @@ class ErrorsInUse(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
+class WorkspaceErrorModel:
     """What errs at the workspace's poses, and how that moves with the parameters."""
 
     slope: Array  # (W, c, n): errors by parameters in units of the tolerances
@@ -141,14 +141,16 @@ class Forecast:
         information: Information,
         rng: np.random.Generator,
         free: tuple[int, ...],
-    ) -> tuple[list[Outlook], float]:
+    ) -> tuple[list[RequirementForecast], float]:
         """Return how requirements stand before and after the calibration, to first order, and how probable all are.
 
         ``free`` are the parameters that are recommended to be freed.
         """
         if not (np.isfinite(self.slope).all() and np.isfinite(self.noise).all()):
             nan = float("nan")
-            return [Outlook(one, nan, nan, 0.0, 0.0, nan, nan, 0.0, nan, nan, 0, 0.0) for one in requirements], 0.0
+            return [
+                RequirementForecast(one, nan, nan, 0.0, 0.0, nan, nan, 0.0, nan, nan, 0, 0.0) for one in requirements
+            ], 0.0
         identity, noise = np.eye(self._whole.shape[-1]), self.noise
         prior, after = self.covariance(identity), self.covariance(information.joint)
         geometry = self.covariance(information.covariance)
@@ -161,7 +163,7 @@ class Forecast:
         for k, one in enumerate(requirements):
             variance = one.variance(after + noise)
             outlooks.append(
-                Outlook(
+                RequirementForecast(
                     one,
                     one.size(prior + noise),
                     one.size(after + noise),
@@ -191,7 +193,9 @@ class Forecast:
         return good / DRAWS, everywhere / DRAWS, together / DRAWS
 
 
-def forecast_tool(whole: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None) -> Forecast:
+def forecast_tool(
+    whole: Array, located: Array, errors: ErrorsInUse, alignment: Alignment | None = None
+) -> WorkspaceErrorModel:
     """Return how a tool errs that is located by readings, once base and tool are aligned if they are.
 
     It errs by parameters in units of the tolerances, ``whole`` (W, c, n) without alignment, and readings move the place
@@ -200,8 +204,8 @@ def forecast_tool(whole: Array, located: Array, errors: ErrorsInUse, alignment: 
     noise = located * errors.variance[:, None, :] @ np.swapaxes(located, -1, -2)
     moved = None if errors.shown is None else -located @ errors.shown
     if alignment is None:
-        return Forecast(whole, noise, moved)
-    return Forecast(alignment.remove(whole), noise, None if moved is None else alignment.remove(moved))
+        return WorkspaceErrorModel(whole, noise, moved)
+    return WorkspaceErrorModel(alignment.remove(whole), noise, None if moved is None else alignment.remove(moved))
 
 
 def draw_errors(slope: Array, noise_root: Array, rng: np.random.Generator) -> Iterator[Array]:
@@ -356,7 +360,7 @@ class ToolRemaining:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class RequirementSummary:
     """How R requirements stand."""
 
     largest: Array  # (S, R): largest error of each draw, in shares of the limits

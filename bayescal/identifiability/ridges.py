@@ -14,7 +14,7 @@ from bayescal.numerics.units import Units
 
 MAIN = 0.2  # of the largest loading in tolerances, from which on a parameter is said to move, and not to follow
 NICE = (1.0, 2.0, 5.0)
-MANY = 6  # names in a row
+MAX_LISTED_NAMES = 6  # names in a row
 WRITTEN = {"N mm2": "N mm²", "um": "µm"}
 
 
@@ -119,6 +119,6 @@ def _amount(unit: str, move: float, units: Units) -> str:
 
 
 def _join(parts: list[str]) -> str:
-    if len(parts) > MANY:
-        parts = [*parts[: MANY - 1], f"{len(parts) - MANY + 1} more"]
+    if len(parts) > MAX_LISTED_NAMES:
+        parts = [*parts[: MAX_LISTED_NAMES - 1], f"{len(parts) - MAX_LISTED_NAMES + 1} more"]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

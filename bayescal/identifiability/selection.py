@@ -15,16 +15,16 @@ import numpy as np
 from scipy.special import erf
 
 from bayescal.identifiability.information import Information
-from bayescal.limits import INFORMED, NINETY
+from bayescal.limits import IDENTIFIABLE_CONTRACTION, NINETY
 from bayescal.numerics.geometry import Array
 
-ALIKE = 0.1
+MAX_TIE_NAT = 0.1
 """Nats per parameter, a tenth of a standard deviation, within which of two symbols the earlier one is taken, unless the
 later one is told better on every leg."""
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """A symbol as it was looked at: taken or left."""
 
     symbol: str
@@ -34,16 +34,18 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Selection:
+class ParameterSelection:
     """Which parameters to free."""
 
     free: tuple[int, ...]  # positions among the audited parameters, in their order
     fixed: tuple[int, ...]  # all others, those that are known least first
     extra: tuple[int, ...]  # single parameters of symbols left out that could be freed too, on some legs
-    steps: tuple[Step, ...]  # in the order of the selection
+    steps: tuple[SelectionStep, ...]  # in the order of the selection
 
 
-def select_parameters(information: Information, symbols: tuple[str, ...], last: Container[str] = ()) -> Selection:
+def select_parameters(
+    information: Information, symbols: tuple[str, ...], last: Container[str] = ()
+) -> ParameterSelection:
     """Return which of n parameters, each of a symbol, to free.
 
     The ``last`` symbols are looked at after all others: frames, which rather define than describe a machine.
@@ -51,15 +53,15 @@ def select_parameters(information: Information, symbols: tuple[str, ...], last: 
     matrix = information.matrix
     everything = {symbol: np.flatnonzero(np.array(symbols) == symbol) for symbol in dict.fromkeys(symbols)}
     taken = np.empty(0, dtype=int)
-    steps: list[Step] = []
+    steps: list[SelectionStep] = []
     for late in (False, True):
         left = {symbol: places for symbol, places in everything.items() if (symbol in last) == late}
         taken = _select(matrix, left, taken, steps)
     fixed = [int(k) for step in reversed(steps) if not step.taken for k in everything[step.symbol]]
-    return Selection(tuple(sorted(taken.tolist())), tuple(fixed), _extend(matrix, taken), tuple(steps))
+    return ParameterSelection(tuple(sorted(taken.tolist())), tuple(fixed), _extend(matrix, taken), tuple(steps))
 
 
-def _select(matrix: Array, left: dict[str, np.ndarray], taken: np.ndarray, steps: list[Step]) -> np.ndarray:
+def _select(matrix: Array, left: dict[str, np.ndarray], taken: np.ndarray, steps: list[SelectionStep]) -> np.ndarray:
     """Return the parameters taken with those of further symbols; each look is added to the steps."""
     while left:
         rest = _condition(matrix, taken)
@@ -71,9 +73,9 @@ def _select(matrix: Array, left: dict[str, np.ndarray], taken: np.ndarray, steps
         places = left.pop(symbol)
         together = np.concatenate([taken, places])
         contraction = float(_contraction(matrix, together).min())
-        good = contraction >= INFORMED
+        good = contraction >= IDENTIFIABLE_CONTRACTION
         taken = together if good else taken
-        steps.append(Step(symbol, gains[symbol], contraction, good))
+        steps.append(SelectionStep(symbol, gains[symbol], contraction, good))
     return taken
 
 
@@ -81,7 +83,7 @@ def _choose(told: Array, left: dict[str, np.ndarray], gains: dict[str, float]) -
     """Return the symbol that is told best; of several alike the first in the layout."""
     best = max(left, key=lambda symbol: gains[symbol])
     for symbol, places in left.items():
-        alike = gains[symbol] >= gains[best] - ALIKE and len(places) == len(left[best])
+        alike = gains[symbol] >= gains[best] - MAX_TIE_NAT and len(places) == len(left[best])
         if symbol == best or (alike and not np.all(told[left[best]] > told[places])):
             return symbol
     return best
@@ -96,7 +98,7 @@ def _extend(matrix: Array, taken: np.ndarray) -> tuple[int, ...]:
         place = int(others[np.argmax(gains)])
         others = others[others != place]
         together = np.append(chosen, place)
-        if _contraction(matrix, together).min() >= INFORMED:
+        if _contraction(matrix, together).min() >= IDENTIFIABLE_CONTRACTION:
             chosen = together
     return tuple(chosen[len(taken) :].tolist())
 

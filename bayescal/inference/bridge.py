@@ -20,7 +20,7 @@ from bayescal.numerics.geometry import Array
 
 BRIDGE_DOF = 1e6
 TOLERANCE = 1e-10
-ENOUGH = 10  # draws per dimension for a covariance
+MIN_DRAWS_PER_DIMENSION = 10  # draws per dimension for a covariance
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _fit_proposal(draws: Array, modes: MixtureProposal | None) -> MixtureProposa
     means, factors, weights = [], [], []
     for k in np.flatnonzero(counts):
         own = draws[nearest == k]
-        part = proposal_from_draws(own, BRIDGE_DOF) if len(own) > ENOUGH * draws.shape[1] else main
+        part = proposal_from_draws(own, BRIDGE_DOF) if len(own) > MIN_DRAWS_PER_DIMENSION * draws.shape[1] else main
         means.append(own.mean(axis=0))
         factors.append(part.factors[0])
         weights.append(len(own) / len(draws))

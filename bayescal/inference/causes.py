@@ -2,10 +2,10 @@
 
 A usual cause makes one sort of errors: a screw errs linearly in its own position, a coupling in those of all, joints
 and bending smoothly, heat in measuring order. So the posterior's evidence with functions of one sort only is compared
-with that of all sorts together, errors drawn anew at every pose and factors on the noise being free in all. Geometry is
-normal given the errors' sizes, to first order about a machine, and is integrated out with them; a sort that is not
-there has a size of zero. All sizes have the priors of the posterior: one sort that suffices gains by the room that the
-others would have had.
+with that of all sorts together, errors drawn independently at every pose and factors on the noise being free in all.
+Geometry is normal given the errors' sizes, to first order about a machine, and is integrated out with them; a sort
+that is not there has a size of zero. All sizes have the priors of the posterior: one sort that suffices gains by the
+room that the others would have had.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 
 from bayescal.density.components import LinearGeometry
 from bayescal.density.directions import CAUSES
+from bayescal.density.pose_kernels import OF_SORT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import FUNCTIONS
-from bayescal.density.sorts import OF_SORT
 from bayescal.inference.scales import LogDensity, find_scales_mode, sample_scales
 from bayescal.numerics.geometry import Array
 
@@ -30,7 +30,7 @@ NONE: Final = "none"
 QUANTILES: Final = (0.5, 0.05, 0.95)
 
 
-class Alone(NamedTuple):
+class SingleCause(NamedTuple):
     """What there is of a single cause and no other: log-evidence less that of all sorts together, nat, and its size.
 
     The size's median and 90 % interval are mm, root mean square; NaN where nothing is there.
@@ -42,7 +42,7 @@ class Alone(NamedTuple):
     high: float
 
 
-def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.Generator) -> dict[str, Alone]:
+def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.Generator) -> dict[str, SingleCause]:
     """Return what there is of one sort of functions alone; ``none`` of none at all.
 
     So, too, of the named causes of `bayescal.density.directions`, where the machine can have them.
@@ -86,7 +86,7 @@ def weigh_causes(posterior: Posterior[Any, Any, Any], y: Array, rng: np.random.G
         log_mass = _tell(posterior.linear_geometry(y, cause), posterior.n_geometry, place)
         if log_mass is not None:
             weighed[cause] = weigh([place], log_mass)
-    return {name: Alone(value - together, *size.tolist()) for name, (value, size) in weighed.items()}
+    return {name: SingleCause(value - together, *size.tolist()) for name, (value, size) in weighed.items()}
 
 
 def _tell(linear: LinearGeometry | None, m: int, place: int) -> LogDensity | None:
@@ -100,7 +100,7 @@ def _tell(linear: LinearGeometry | None, m: int, place: int) -> LogDensity | Non
         without[:, place] = ABSENT
         precision = np.tile(linear.precision, (len(zeta), 1, 1))
         precision[:, m:, m:] += np.eye(n) / size[:, None, None] ** 2
-        there = replace(linear, precision=precision).solve(without)[2] - n * np.log(size)
+        there = replace(linear, precision=precision).solve(without).log_marginal - n * np.log(size)
         return np.asarray(there + 0.5 * (ABSENT**2 - zeta[:, place] ** 2))
 
     return log_mass

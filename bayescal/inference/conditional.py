@@ -19,12 +19,14 @@ from typing import Final
 import numpy as np
 
 from bayescal.density.components import LinearGeometry
+from bayescal.density.linear_gaussian import half_log_det, solve_factor
 from bayescal.inference.scales import sample_scales
-from bayescal.inference.target import Target
+from bayescal.inference.target import LogDensity
 from bayescal.numerics.geometry import Array
 
 N_DRAWS: Final = 600  # of the proposal of ζ
 LEAST, WANTED, MOST_DRAWS = 200, 1000, 8000
+MOST = (0.05, 0.95)  # quantiles of an error's draws that have to differ
 """Effective draws below which there are too few, about as many then, and most draws for that: the shape of a proposal
 that is fitted to some eighty is chance, and its efficiency anything from one to 40 per cent."""
 NODES_PER_FEATURE: Final = 6  # at which the map is fitted
@@ -96,9 +98,9 @@ class ExactConditional:
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return L⁻ᵀ (B, m, m), s (B, m) and log |L⁻ᵀ| (B,) at ζ (B, k)."""
-        factor, step, _ = self.geometry.solve(zeta)
-        diagonal = np.diagonal(factor, axis1=1, axis2=2)
-        return np.swapaxes(np.linalg.inv(factor), 1, 2), step, -np.log(diagonal).sum(axis=1)
+        found = self.geometry.solve(zeta)
+        inverse = solve_factor(found.factor, np.eye(found.factor.shape[-1]))
+        return np.swapaxes(inverse, 1, 2), found.white[..., 0], -half_log_det(found.factor)
 
     def forward(self, x: Array, factor: Array, shift: Array) -> Array:
         """Return geometry (B, m) of x (B, m)."""
@@ -159,10 +161,11 @@ class ConditionalMap:
         return np.asarray(np.linalg.solve(factor, ((y - self.centre) @ self.inverse.T - shift)[..., None])[..., 0])
 
 
-def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
+def fit_conditional(posterior: LogDensity, y: Array) -> ConditionalMap | None:
     """Return the map of a posterior about a mode (n,); None where nothing is known in closed form.
 
-    None, too, where sizes of errors are held at the end of their range by data that contradict a model: nothing varies.
+    None, too, where sizes of errors are held at the end of their range by data that contradict a model: nothing varies,
+    or no more than single draws do.
     The same for the same posterior: its random numbers are.
     """
     linear = posterior.linear_geometry(y)
@@ -172,7 +175,7 @@ def fit_conditional(posterior: Target, y: Array) -> ConditionalMap | None:
     scales = sample_scales(linear.log_mass, mode, N_DRAWS, N_DRAWS, rng)
     if scales.efficiency * N_DRAWS < LEAST:
         scales = sample_scales(linear.log_mass, mode, min(MOST_DRAWS, round(WANTED / scales.efficiency)), WANTED, rng)
-    varies = (np.ptp(scales.draws, axis=0) > 0.0).all()
+    varies = (np.ptp(np.quantile(scales.draws, MOST, axis=0), axis=0) > 0.0).all()
     return _fit(linear, scales.draws, rng) if varies else None
 
 

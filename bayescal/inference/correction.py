@@ -20,13 +20,13 @@ from bayescal.inference.ensemble import run_ensembles
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import LogDensity, resample, smooth_weights
 from bayescal.inference.proposal import MixtureProposal
+from bayescal.inference.reparameterisation import Reparameterisation
 from bayescal.inference.sampling import Sample
-from bayescal.inference.straightening import Straightening
 from bayescal.limits import ALIKE_LIMIT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 PER_COORDINATE = 3  # draws for a regression
-ENOUGH = 0.8
+GOOD_EFFICIENCY = 0.8
 """Share of effective draws from which on another round is not worth its evaluations."""
 ROUNDS = 3
 BLOCK = 32  # draws that are weighed between looks at the error, where one is enough
@@ -37,7 +37,7 @@ WEIGHED_AT_ONCE, PER_COORDINATE_AT_ONCE, PROPOSED_AT_ONCE = 128, 2, 1000
 """The same where only the evidence is wanted, and the draws of a regression."""
 KNOWN_ENOUGH = 0.02
 """Standard error in nats that is enough then: evidences under other priors are themselves known to 0.03."""
-STEP = 1e-4
+CORRECTION_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Correction:
     @property
     def is_enough(self) -> bool:
         """Whether another round would hardly make moved draws better."""
-        return self.efficiency >= ENOUGH and self.pareto_k <= PARETO_K_LIMIT
+        return self.efficiency >= GOOD_EFFICIENCY and self.pareto_k <= PARETO_K_LIMIT
 
     def is_known_to(self, error: float) -> bool:
         """Whether the log-ratio has a standard error that is that small, by weights whose scatter tells it."""
@@ -278,9 +278,9 @@ def sample_exactly(
     return Sample.from_ensembles(straight, ensembles)
 
 
-def pull_back(straight: Straightening, y: Array, information: Array) -> Array:
+def pull_back(straight: Reparameterisation, y: Array, information: Array) -> Array:
     """Return information on the geometry's coordinates (m, m), at y (n,), as that on all straight ones (n, n)."""
-    x, unit = straight.x_from_y(y[None]), STEP * np.eye(len(y))
-    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, : len(information)].T / (2 * STEP)
+    x, unit = straight.x_from_y(y[None]), CORRECTION_STEP * np.eye(len(y))
+    slope = (straight.y_from_x(x + unit) - straight.y_from_x(x - unit))[:, : len(information)].T / (2 * CORRECTION_STEP)
     found = slope.T @ information @ slope
     return np.asarray(0.5 * (found + found.T))

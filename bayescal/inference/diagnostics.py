@@ -95,7 +95,7 @@ def measure_longest_stand(log_density: Array, log_ratio: Array, rare_ratio: floa
     log_ratio : ndarray, shape (E, W, S)
         Log of p / q, both normalised.
     rare_ratio : float
-        The same, beyond which hardly any of the posterior lies; see `bayescal.inference.overdispersed`.
+        The same, beyond which hardly any of the posterior lies; see `bayescal.inference.chain_checks`.
     """
     met = log_ratio < np.log(HARMLESS * JUMP_SHARE * log_density.size / MET)
     rare, middle = np.quantile(log_density, [TAILS[0], 0.5])

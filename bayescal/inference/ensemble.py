@@ -86,7 +86,7 @@ def run_ensembles(
     return [found[k] for k in range(len(walks))]
 
 
-type Walk[Found] = Generator[Array, Array, Found]
+type Walk[Result] = Generator[Array, Array, Result]
 """Yields points (B, n), is sent their log-densities (B,), and returns what it found."""
 
 

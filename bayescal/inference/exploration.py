@@ -12,27 +12,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.errors import NumericalError
+from bayescal.inference.adaptation import adapt_proposal
 from bayescal.inference.conditional import fit_conditional
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance
+from bayescal.inference.importance import ImportanceEvidence, estimate_by_importance, resample
 from bayescal.inference.loose import fit_loose_shear
 from bayescal.inference.mode import Mode, find_modes, revisit_modes
-from bayescal.inference.peaks import Peak, bend_at, curve_at, proposal_from_peaks, refine_peak
+from bayescal.inference.peaks import GaussianMode, bend_at, curve_at, proposal_from_peaks, refine_peak
 from bayescal.inference.proposal import MixtureProposal, fit_mixture, proposal_from_draws
+from bayescal.inference.reparameterisation import Reparameterisation, straighten
 from bayescal.inference.ridges import trace_ridges
 from bayescal.inference.schema import EvidenceConfig, count_walkers
 from bayescal.inference.stages import stage
-from bayescal.inference.straightening import Straightening, straighten
-from bayescal.inference.target import Target
+from bayescal.inference.target import LogDensity
 from bayescal.numerics.geometry import Array
 
 DOF = 50.0
 GOOD_ENOUGH = 0.5  # no sharper peak is tried
-ACCEPTABLE = 0.2  # no pilot is run
+ACCEPTABLE = 0.2  # no mixture is fitted to weighted draws
 MAX_ROUNDS = 2
-WORTH_REFINING = 6.0  # a mode this many nats below the best is left as it is: a quarter of a percent of the mass
-PLAUSIBLE = 3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
-TELLING = 0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
+REFINE_WITHIN_NAT = 6.0  # a mode this many nats below the best is left as it is: a quarter of a percent of the mass
+MAX_REFINEMENT_LOSS_NAT = (
+    3.0  # nats that a lesser mode's mass may lose when it is sharpened; beyond, the steps went astray
+)
+MIN_MEANINGFUL_EFFICIENCY = (
+    0.02  # below it a trial's efficiency is mostly chance, and the later proposal is the better guess
+)
 TRIAL_DRAWS = 2000
 FIRST_DRAWS, HOPELESS = 256, 0.05  # of a trial, and what they may show for it to end with them
 FINE_DRAWS, FINE_ENOUGH = 64, 0.9  # draws, and what share of them has to count by the density that leaves nothing out
@@ -42,9 +47,11 @@ WIDE_SHARE, WIDE = 0.15, 4.0
 that another one makes up for has a shoulder, far out along its own coordinate alone."""
 CONDITIONAL_DOF = 100.0  # of the same: geometry given the errors has next to no tails
 OWN_SHARE, CLUSTER_DOF = 0.2, 6.0  # of the proposal so far beside clusters of a pilot's draws, and their tails
+WORTH_PILOTS = 0.1  # efficiency below which chains run, whose few walkers take longer than all else
 PILOT_STEPS = 100
 PILOT_BURN_IN = 40
-MAX_PILOTS = 6
+MAX_PILOTS, PATIENCE = 6, 1
+"""Pilots at the most, and after how many in turn without a better proposal there is no other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +73,7 @@ class Exploration:
         where it has none.
     """
 
-    straight: Straightening
+    straight: Reparameterisation
     proposal: MixtureProposal
     modes: list[Mode]
     efficiency: float
@@ -74,12 +81,12 @@ class Exploration:
 
 
 def explore(
-    posterior: Target,
+    posterior: LogDensity,
     seed: np.random.SeedSequence,
     n_walkers: int = 128,
     max_pilots: int = MAX_PILOTS,
     *,
-    anew: bool = False,
+    from_prior: bool = False,
     fine_enough: float = FINE_ENOUGH,
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
@@ -88,7 +95,8 @@ def explore(
     shows. Where a trial shows that it is not good enough, peaks refined over a posterior sd in coordinates bent and
     curved to fit, twice; then pilot runs. Where what the density leaves out matters to draws of the posterior, all of
     it is done again with the posterior's finer density, unless a share ``fine_enough`` of them counts by that: less is
-    enough where what was found is corrected. With ``anew`` the search for modes begins from draws of the prior, too.
+    enough where what was found is corrected. With ``from_prior`` the search for modes begins from draws of
+    the prior, too.
 
     Raises
     ------
@@ -96,17 +104,17 @@ def explore(
         Where no mode is found or no proposal draw has a finite density.
     """
     with stage("mode search"):
-        modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if anew else None)
+        modes = find_modes(posterior, np.random.default_rng(seed.generate_state(4)) if from_prior else None)
     with stage("proposal"):
         found = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, GOOD_ENOUGH, trace=True)
         share, left_out = _look_finer(found, seed)
     if share < fine_enough:
-        return explore(_refine(posterior), seed, n_walkers, max_pilots, anew=anew)
+        return explore(_refine(posterior), seed, n_walkers, max_pilots, from_prior=from_prior)
     return replace(found, left_out=left_out)
 
 
 def explore_near(
-    posterior: Target,
+    posterior: LogDensity,
     starts: Array,
     seed: np.random.SeedSequence,
     n_walkers: int = 128,
@@ -114,6 +122,7 @@ def explore_near(
     search: bool = False,
     enough: float = ACCEPTABLE,
     fine_enough: float = FINE_ENOUGH,
+    max_pilots: int = MAX_PILOTS,
 ) -> Exploration:
     """Find a proposal that is good enough for an evidence alone, of a posterior close to one that was explored.
 
@@ -128,7 +137,7 @@ def explore_near(
         Whether there may be others, which are searched for.
     enough : float
         Efficiency from which on a proposal is not sharpened.
-    fine_enough : float
+    fine_enough, max_pilots
         See `explore`.
 
     Raises
@@ -139,23 +148,24 @@ def explore_near(
     with stage("mode search"):
         modes = revisit_modes(posterior, starts, find_modes(posterior) if search else ())
     with stage("proposal"):
-        found = _fit_proposal(modes, posterior, seed, n_walkers, MAX_PILOTS, enough)
+        found = _fit_proposal(modes, posterior, seed, n_walkers, max_pilots, enough)
         share, left_out = _look_finer(found, seed)
     if share < fine_enough:  # the modes move a little, and there are no others
-        return explore_near(_refine(posterior), np.stack([mode.y for mode in modes]), seed, n_walkers, enough=enough)
+        starts = np.stack([mode.y for mode in modes])
+        return explore_near(_refine(posterior), starts, seed, n_walkers, enough=enough, max_pilots=max_pilots)
     return replace(found, left_out=left_out)
 
 
-def _refine(posterior: Target) -> Target:
+def _refine(posterior: LogDensity) -> LogDensity:
     """Return a posterior's finer density, which it has."""
-    finer = posterior.finer()
+    finer = posterior.exact()
     assert finer is not None
     return finer
 
 
 def _fit_proposal(
     modes: list[Mode],
-    posterior: Target,
+    posterior: LogDensity,
     seed: np.random.SeedSequence,
     n_walkers: int,
     max_pilots: int,
@@ -190,31 +200,53 @@ def _fit_proposal(
         straight, peaks = _sharpen(straight, peaks[0], modes, curve=round_ == 0)
         found = _try_peaks(straight, peaks, modes, trial_rng)
         best = found if found.efficiency > best.efficiency else best
+    if best.efficiency < ACCEPTABLE and max_pilots:
+        best = _adapt(best, seed)
     straight, proposal = best.straight, best.proposal
-    walkers = count_walkers(posterior.n_parameters, n_walkers)
+    walkers, stale = count_walkers(posterior.n_parameters, n_walkers), 0
     for pilot_seed in pilot_seeds[:max_pilots]:
-        if best.efficiency >= ACCEPTABLE:
+        if best.efficiency >= WORTH_PILOTS or stale >= PATIENCE:
             break
         pilot = run_ensemble(straight.log_density, proposal, pilot_seed, walkers, PILOT_BURN_IN, PILOT_STEPS)
         draws = straight.y_from_x(pilot.draws.reshape(-1, posterior.n_parameters))
         straight = straight.fitted_to(draws)
         proposal = _refit(straight, straight.x_from_y(draws), modes)
         efficiency = _try_out(straight, proposal, trial_rng)
-        if efficiency > best.efficiency or best.efficiency < TELLING:
+        stale = 0 if efficiency > best.efficiency else stale + 1
+        if efficiency > best.efficiency or best.efficiency < MIN_MEANINGFUL_EFFICIENCY:
             best = Exploration(straight, proposal, modes, efficiency)
     return best
 
 
+def _adapt(found: Exploration, seed: np.random.SeedSequence) -> Exploration:
+    """Return an exploration whose proposal is fitted to weighted draws, where a trial shows that it is better."""
+    rng = np.random.default_rng(seed.generate_state(8))
+    adapted = adapt_proposal(found.straight, found.proposal, rng, ACCEPTABLE)
+    if adapted is None or adapted.efficiency <= found.efficiency:
+        return found
+    efficiency = _try_out(found.straight, adapted.proposal, rng)
+    better = replace(found, proposal=adapted.proposal, efficiency=efficiency)
+    return better if efficiency > found.efficiency else found
+
+
 def _look_finer(found: Exploration, seed: np.random.SeedSequence) -> tuple[float, float]:
     """Return which share of the posterior's draws counts by a finer density, and by how much that differs."""
-    finer = found.straight.posterior.finer()
+    finer = found.straight.posterior.exact()
     return (1.0, 0.0) if finer is None else _compare(found, finer, np.random.default_rng(seed.generate_state(5)))
 
 
-def _compare(found: Exploration, finer: Target, rng: np.random.Generator) -> tuple[float, float]:
-    x = found.proposal.draw(FINE_DRAWS, rng)
+def _compare(found: Exploration, finer: LogDensity, rng: np.random.Generator) -> tuple[float, float]:
+    density, proposal = found.straight.log_density, found.proposal
+    if found.efficiency < ACCEPTABLE:  # of so few draws hardly one would count
+        try:
+            x = resample(density, proposal, rng, TRIAL_DRAWS, FINE_DRAWS).draws
+        except NumericalError:
+            return 1.0, 0.0
+        log_weights = np.zeros(len(x))
+    else:
+        x = proposal.draw(FINE_DRAWS, rng)
+        log_weights = density(x) - proposal.log_density(x)
     y = found.straight.y_from_x(x)
-    log_weights = found.straight.log_density(x) - found.proposal.log_density(x)
     known = np.isfinite(log_weights)
     change = finer.log_density(y[known]) - found.straight.posterior.log_density(y[known])
     good = np.isfinite(change)
@@ -251,25 +283,25 @@ def add_clusters(found: Exploration, seed: np.random.SeedSequence, n_walkers: in
 def weigh_proposal(found: Exploration, seed: np.random.SeedSequence, effort: EvidenceConfig) -> ImportanceEvidence:
     """Return the log-evidence by importance sampling from an exploration's proposal."""
     density, rng = found.straight.log_density, np.random.default_rng(seed)
-    return estimate_by_importance(density, found.proposal, rng, effort.draws, effort.target_error, effort.max_draws)
+    return estimate_by_importance(density, found.proposal, rng, effort.draws, effort.tolerance_nat, effort.max_draws)
 
 
 def integrate_posterior(
-    posterior: Target,
+    posterior: LogDensity,
     explore_seed: np.random.SeedSequence,
     importance_seed: np.random.SeedSequence,
     n_walkers: int,
     effort: EvidenceConfig,
     fine_enough: float = FINE_ENOUGH,
 ) -> tuple[Exploration, ImportanceEvidence]:
-    """Return what a search from the beginning finds, and its log-evidence: by clusters where weights are doubtful.
+    """Return what a search from the beginning finds, and its log-evidence: by clusters where weights are unreliable.
 
     Raises
     ------
     NumericalError
         As `explore`.
     """
-    found = explore(posterior, explore_seed, n_walkers, anew=True, fine_enough=fine_enough)
+    found = explore(posterior, explore_seed, n_walkers, from_prior=True, fine_enough=fine_enough)
     importance = weigh_proposal(found, importance_seed, effort)
     if importance.is_doubtful:
         other = add_clusters(found, explore_seed, n_walkers)
@@ -279,44 +311,46 @@ def integrate_posterior(
     return found, importance
 
 
-def _propose_several(straight: Straightening, modes: list[Mode], seed: np.random.SeedSequence) -> Exploration | None:
+def _propose_several(
+    straight: Reparameterisation, modes: list[Mode], seed: np.random.SeedSequence
+) -> Exploration | None:
     """Return a proposal with the moments of every mode that holds mass; None where one does, or it is not good enough.
 
     Geometry that is straight about one mode given the errors moves with their size at any other, by many times its own
     width: a peak there is no Gaussian in these coordinates, and the modes' shares would be anything.
     """
-    worth = [mode for mode in modes if mode.log_evidence > modes[0].log_evidence - WORTH_REFINING]
+    worth = [mode for mode in modes if mode.log_evidence > modes[0].log_evidence - REFINE_WITHIN_NAT]
     if len(worth) < 2:
         return None
     posterior, m, nothing = straight.posterior, straight.posterior.n_geometry, np.empty(0)
-    plain = Straightening(posterior, modes[0].y, (), nothing, nothing, bend=straight.bend)
+    plain = Reparameterisation(posterior, modes[0].y, (), nothing, nothing, bend=straight.bend)
     assert plain.bend is not None
     peaks = []
     for mode in worth:
         conditional = fit_conditional(posterior, mode.y)
         if conditional is None:
             return None
-        geometry = conditional.exact.geometry.given(conditional.errors)
-        x = np.concatenate([geometry.mean, plain.bend.inverse(conditional.errors)], axis=1)
+        mean, own = conditional.exact.geometry.given(conditional.errors)
+        x = np.concatenate([mean, plain.bend.inverse(conditional.errors)], axis=1)
         covariance = np.cov(x.T)
-        covariance[:m, :m] += geometry.covariance.mean(axis=0)
+        covariance[:m, :m] += own.mean(axis=0)
         factor = np.linalg.cholesky(covariance)
         # modes know equally much of the errors: their masses compare as they do at the most probable ones
         log_density = mode.log_evidence - float(np.log(np.diag(factor)).sum())
-        peaks.append(Peak(x.mean(axis=0), factor, log_density))
+        peaks.append(GaussianMode(x.mean(axis=0), factor, log_density))
     proposal = proposal_from_peaks(peaks, CLUSTER_DOF)
     efficiency = _try_out(plain, proposal, np.random.default_rng(seed.generate_state(7)))
     return Exploration(plain, proposal, modes, efficiency) if efficiency >= ACCEPTABLE else None
 
 
-def _peak_in(straight: Straightening, mode: Mode, *, follow: bool = True) -> Peak:
-    """Return a mode as a peak in straight coordinates; see `Straightening.carry`."""
+def _peak_in(straight: Reparameterisation, mode: Mode, *, follow: bool = True) -> GaussianMode:
+    """Return a mode as a peak in straight coordinates; see `Reparameterisation.carry`."""
     centre = straight.x_from_y(mode.y[None])
     factor = np.linalg.cholesky(straight.carry(mode.y, mode.covariance, follow=follow))
-    return Peak(centre[0], factor, float(straight.log_density(centre)[0]))
+    return GaussianMode(centre[0], factor, float(straight.log_density(centre)[0]))
 
 
-def _peak_of_errors(straight: Straightening) -> Peak:
+def _peak_of_errors(straight: Reparameterisation) -> GaussianMode:
     """Return the main peak where geometry given the errors is standard normal: the errors' from their draws."""
     assert straight.conditional is not None
     assert straight.bend is not None
@@ -324,17 +358,19 @@ def _peak_of_errors(straight: Straightening) -> Peak:
     errors = straight.bend.inverse(straight.conditional.errors)
     centre, factor = np.zeros(n), np.eye(n)
     centre[m:], factor[m:, m:] = errors.mean(axis=0), np.linalg.cholesky(np.atleast_2d(np.cov(errors.T)))
-    return Peak(centre, factor, float(straight.log_density(centre[None])[0]))
+    return GaussianMode(centre, factor, float(straight.log_density(centre[None])[0]))
 
 
-def _try_peaks(straight: Straightening, peaks: list[Peak], modes: list[Mode], rng: np.random.Generator) -> Exploration:
+def _try_peaks(
+    straight: Reparameterisation, peaks: list[GaussianMode], modes: list[Mode], rng: np.random.Generator
+) -> Exploration:
     proposal = (
         proposal_from_peaks(peaks, DOF) if straight.conditional is None else _propose_conditionally(straight, peaks)
     )
     return Exploration(straight, proposal, modes, _try_out(straight, proposal, rng))
 
 
-def _propose_conditionally(straight: Straightening, peaks: list[Peak]) -> MixtureProposal:
+def _propose_conditionally(straight: Reparameterisation, peaks: list[GaussianMode]) -> MixtureProposal:
     """Return the mixture over peaks, beside the main one the same with one error wider, for each of them."""
     found, main = proposal_from_peaks(peaks, CONDITIONAL_DOF), peaks[0]
     n, m = straight.posterior.n_parameters, straight.posterior.n_geometry
@@ -348,7 +384,9 @@ def _propose_conditionally(straight: Straightening, peaks: list[Peak]) -> Mixtur
     return MixtureProposal(weights, means, factors, CONDITIONAL_DOF)
 
 
-def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool) -> tuple[Straightening, list[Peak]]:
+def _sharpen(
+    straight: Reparameterisation, main: GaussianMode, modes: list[Mode], curve: bool
+) -> tuple[Reparameterisation, list[GaussianMode]]:
     """Fit the coordinates to the main peak, then all peaks in them; a peak that climbs into another is dropped.
 
     Coordinates that are straight at the best mode may be anything at another: what cannot be refined there is two
@@ -363,9 +401,9 @@ def _sharpen(straight: Straightening, main: Peak, modes: list[Mode], curve: bool
     peaks = [main]
     for mode in modes[1:]:
         start = _peak_in(straight, mode, follow=False)
-        worth = mode.log_evidence > modes[0].log_evidence - WORTH_REFINING
+        worth = mode.log_evidence > modes[0].log_evidence - REFINE_WITHIN_NAT
         found = refine_peak(straight.log_density, start) if worth else start
-        if found is start or found.log_evidence < start.log_evidence - PLAUSIBLE:
+        if found is start or found.log_evidence < start.log_evidence - MAX_REFINEMENT_LOSS_NAT:
             peaks += [start, _peak_in(straight, mode)]
         elif all(np.linalg.norm(np.linalg.solve(p.factor, found.centre - p.centre)) > 1.0 for p in peaks):
             peaks.append(found)
@@ -393,7 +431,7 @@ def _follow_loose(found: Exploration, seed: np.random.SeedSequence) -> Explorati
 
 def _follow_ridges(
     found: Exploration, enough: float, rng: np.random.Generator
-) -> tuple[Straightening, list[Peak], Exploration]:
+) -> tuple[Reparameterisation, list[GaussianMode], Exploration]:
     """Return coordinates in which curved ridges are straight as far as they go, the peaks there, and what is best.
 
     That is what they give where they are good enough: another's trial does not know of tails that it does not get to.
@@ -411,7 +449,7 @@ def _follow_ridges(
     return straight, peaks, traced if traced.efficiency >= min(enough, found.efficiency) else found
 
 
-def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.Generator) -> float:
+def _try_out(straight: Reparameterisation, proposal: MixtureProposal, rng: np.random.Generator) -> float:
     """Return the efficiency of a proposal; a few draws show one that is far from good."""
     efficiency = 0.0
     for n_draws in (FIRST_DRAWS, TRIAL_DRAWS):
@@ -424,7 +462,7 @@ def _try_out(straight: Straightening, proposal: MixtureProposal, rng: np.random.
     return efficiency
 
 
-def _refit(straight: Straightening, draws: Array, modes: list[Mode]) -> MixtureProposal:
+def _refit(straight: Reparameterisation, draws: Array, modes: list[Mode]) -> MixtureProposal:
     """Return a mixture with the moments of the draws (B, n) around each mode.
 
     A mode with too few draws for a covariance, or whose walkers all stand still along some direction, keeps Laplace's

@@ -76,7 +76,7 @@ def estimate_by_importance(
     proposal: MixtureProposal,
     rng: np.random.Generator,
     n_draws: int,
-    target_error: float = 0.0,
+    tolerance_nat: float = 0.0,
     max_draws: int = 0,
 ) -> ImportanceEvidence:
     """Return the log-evidence from independent draws of the proposal.
@@ -95,7 +95,7 @@ def estimate_by_importance(
         log_evidence = logsumexp(log_weights) - np.log(len(log_weights))
         relative = np.exp(log_weights - log_evidence)
         error = np.std(relative, ddof=1) / np.sqrt(len(relative))
-        if error <= target_error or len(log_weights) + n_draws > max_draws:
+        if error <= tolerance_nat or len(log_weights) + n_draws > max_draws:
             break
     finite = log_weights[np.isfinite(log_weights)]
     _, pareto_k = smooth_weights(finite)

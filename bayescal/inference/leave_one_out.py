@@ -19,21 +19,21 @@ from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.schema import count_walkers
-from bayescal.inference.target import Fittable
+from bayescal.inference.target import LogPosterior
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 MAX_REFITS = 10
-"""Poses of one posterior that are left out anew; where more are bad, the posterior is, and none is."""
+"""Poses of one posterior that are refitted without; where more are bad, the posterior is, and none is."""
 HOPELESS_K = 10.0  # stands for a tail too heavy for its shape to be found
 CONSTANT = 1e-9  # nats between the largest and the smallest density of a pose that tells nothing
 MOVED, WEIGHED = 1024, 256  # draws that are moved at most, and those that are weighed in a round
-ENOUGH = 0.1  # nats, standard error of a pose's density from moved draws; beyond it a run is worth its time
+MAX_LOO_ERROR_NAT = 0.1  # nats, standard error of a pose's density from moved draws; beyond it a run is worth its time
 REFIT_BURN_IN, REFIT_STEPS = 30, 30
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeaveOneOut:
     """What leaving each of P poses out found."""
 
     weighted: Array  # (P,): elpd of each pose by Pareto-smoothed importance sampling
@@ -43,17 +43,17 @@ class LeftOut:
 
     @property
     def elpd(self) -> Array:
-        """Return each pose's elpd, anew where it was left out so."""
+        """Return each pose's elpd, that of its refit where there is one."""
         return np.where(self.was_refitted, self.refitted, self.weighted)
 
     @property
     def was_refitted(self) -> np.ndarray:
-        """Which poses were left out anew."""
+        """Which poses were refitted without."""
         return np.isfinite(self.refitted)
 
     @property
     def is_doubtful(self) -> np.ndarray:
-        """Which poses have weights with too heavy a tail and were not left out anew."""
+        """Which poses have weights with too heavy a tail and were not refitted without."""
         return (self.pareto_k > PARETO_K_LIMIT) & ~self.was_refitted
 
     def summarise(self) -> tuple[float, float]:
@@ -64,7 +64,7 @@ class LeftOut:
         return float(summary[0]), float(summary[1])
 
 
-def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
+def leave_out(draws: Array, log_likelihood: Array) -> LeaveOneOut:
     """Return leave-one-out by weights, from draws (E, S, n) and each pose's log-likelihood (E, S, P)."""
     from arviz_stats.base import array_stats  # seconds to import, for those who sample
 
@@ -78,35 +78,35 @@ def leave_out(draws: Array, log_likelihood: Array) -> LeftOut:
             np.moveaxis(log_likelihood[..., told], -1, 0), r_eff=size
         )
     pareto_k = np.where(np.isfinite(pareto_k), pareto_k, HOPELESS_K)
-    return LeftOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
+    return LeaveOneOut(elpd, pareto_k, effective, np.full(len(elpd), np.nan))
 
 
 def refit_doubtful(
-    found: LeftOut, posterior: Fittable, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
-) -> LeftOut:
-    """Return the same with doubtful poses left out anew, at most `MAX_REFITS` of them."""
-    doubtful = np.flatnonzero(found.is_doubtful)
-    if not 0 < len(doubtful) <= MAX_REFITS:
+    found: LeaveOneOut, posterior: LogPosterior, exploration: Exploration, n_walkers: int, seed: np.random.SeedSequence
+) -> LeaveOneOut:
+    """Return the same with unreliable poses refitted, at most `MAX_REFITS` of them."""
+    unreliable = np.flatnonzero(found.is_doubtful)
+    if not 0 < len(unreliable) <= MAX_REFITS:
         return found
-    draw_seed, *seeds = seed.spawn(1 + len(doubtful))
+    draw_seed, *seeds = seed.spawn(1 + len(unreliable))
     drawn = draw_to_correct(exploration, np.random.default_rng(draw_seed), MOVED)
     refitted = found.refitted.copy()
-    for pose, own in zip(doubtful.tolist(), seeds, strict=True):
+    for pose, own in zip(unreliable.tolist(), seeds, strict=True):
         proposal = exploration.proposal
         try:
             moved = move_without(pose, posterior, exploration, *drawn)
-            if moved.pareto_k <= PARETO_K_LIMIT and moved.standard_error <= ENOUGH:
+            if moved.pareto_k <= PARETO_K_LIMIT and moved.standard_error <= MAX_LOO_ERROR_NAT:
                 refitted[pose] = -moved.log_ratio
                 continue
             proposal = moved.move.move_proposal(proposal)
         except NumericalError:
             pass  # no moved draw is a machine: the run starts where the posterior of all is
         refitted[pose] = refit_without(pose, posterior, exploration, proposal, n_walkers, own)
-    return LeftOut(found.weighted, found.pareto_k, found.effective, refitted)
+    return LeaveOneOut(found.weighted, found.pareto_k, found.effective, refitted)
 
 
 def move_without(
-    pose: int, posterior: Fittable, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
+    pose: int, posterior: LogPosterior, exploration: Exploration, draws: Array, modes: np.ndarray, covariance: Array
 ) -> Correction:
     """Return what leads from the posterior to that without a pose: minus its log-ratio is the pose's elpd.
 
@@ -131,7 +131,7 @@ def move_without(
 
 def refit_without(
     pose: int,
-    posterior: Fittable,
+    posterior: LogPosterior,
     exploration: Exploration,
     proposal: MixtureProposal,
     n_walkers: int,

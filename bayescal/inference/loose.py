@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from bayescal.inference.target import Target
+from bayescal.inference.target import LogDensity
 from bayescal.numerics.geometry import Array
 
 LOOSE: Final = 0.25  # share of the prior variance that is left, above which a direction is loose
@@ -61,7 +61,7 @@ def multiply(place: Array) -> Array:
     return np.asarray(place[:, first] * place[:, second])
 
 
-def fit_loose_shear(posterior: Target, y: Array) -> LooseShear | None:
+def fit_loose_shear(posterior: LogDensity, y: Array) -> LooseShear | None:
     """Return the shear of a posterior about its mode (n,); None where nothing is loose, held, or bent."""
     m = posterior.n_geometry
     _, precision = differentiate_geometry(posterior, y)
@@ -92,14 +92,15 @@ def fit_loose_shear(posterior: Target, y: Array) -> LooseShear | None:
     return LooseShear(y[:m].copy(), basis[:, order], inverse[order], bent)
 
 
-def differentiate_geometry(posterior: Target, y: Array) -> tuple[Array, Array]:
+def differentiate_geometry(posterior: LogDensity, y: Array) -> tuple[Array, Array]:
     """Return the log-density's gradient (m,) by the geometry at y (n,), and minus its Hessian, of linear rows there."""
     m, linear = posterior.n_geometry, posterior.linear_geometry(y)
     if linear is None:
         gradient, hessian = posterior.gradient(y)
         return gradient[:m], -hessian[:m, :m]
-    (factor,), (step,), _ = linear.solve(y[None, m:])  # many times as fast: errors are not differentiated
-    return factor @ step, factor @ factor.T
+    found = linear.solve(y[None, m:])  # many times as fast: errors are not differentiated
+    factor = np.tril(found.factor[0])
+    return factor @ found.white[0, :, 0], factor @ factor.T
 
 
 def _list_places(u: int) -> Array:
@@ -116,7 +117,7 @@ def _list_places(u: int) -> Array:
 class _Followers:
     """Where the directions that data hold are best, given the loose ones."""
 
-    posterior: Target
+    posterior: LogDensity
     y: Array  # (n,): the mode
     basis: Array  # (m, m): axes of one posterior sd in columns
     loose: np.ndarray  # (u,): which of them are given

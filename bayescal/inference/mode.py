@@ -14,7 +14,7 @@ from bayescal.errors import NumericalError
 from bayescal.inference.importance import difference_twice
 from bayescal.inference.loose import differentiate_geometry
 from bayescal.inference.scales import find_scales_mode
-from bayescal.inference.target import Target
+from bayescal.inference.target import LogDensity
 from bayescal.limits import FAR_AWAY
 from bayescal.numerics.geometry import Array
 
@@ -29,7 +29,7 @@ PATIENCE, HOPELESS = 20, 40.0  # steps after which a climb this many nats below 
 WORTH_KEEPING = 12.0  # a mode this many nats below the best holds no mass that matters
 WORTH_COMBINING = 7.0  # a combination of jumps expected to hold less than e^-7 of the best is not climbed
 MOST_COMBINATIONS = 63  # all of six jumps
-N_SCATTERED = 3  # draws of the prior from which the search begins anew
+N_SCATTERED = 3  # draws of the prior from which the search begins again
 AWAY, FARTHEST = 50.0, 0.1  # steps along a coordinate: conditional posterior sds, and prior sds at most
 LEAST = 2e-5  # prior sds: what is known better has a prior that says nothing, through which nobody looks
 FARTHEST_IMAGE = 6.0  # prior sds: a place mirrored beyond is none that the prior allows
@@ -38,7 +38,7 @@ LAST_STEPS = 4  # by differences
 MOST_STEPS, HALVINGS = 30, 6  # of geometry at the errors that are most probable
 SETTLED = 1e-2  # squared posterior sds that geometry there may still be off
 KNOWN = 1.0  # square of the distance in posterior sds within which least squares have led back to a known mode
-LOST = 1e3  # nats below the best where least squares found no machine that fits
+MAX_MODE_GAP_NAT = 1e3  # nats below the best where least squares found no machine that fits
 
 type Climb = tuple[Array, float]
 
@@ -59,7 +59,7 @@ class Mode:
         return self.log_density + 0.5 * log_det + 0.5 * len(self.y) * np.log(2 * np.pi)
 
 
-def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> list[Mode]:
+def find_modes(posterior: LogDensity, rng: np.random.Generator | None = None) -> list[Mode]:
     """Return the posterior's modes, best first: the one found from its own start, and those its jumps lead to.
 
     Each jump is tried, again from every better mode found, and then those combinations of jumps which the masses of
@@ -67,8 +67,8 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
     places mirrored along single coordinates, too, and the search begins again from draws of the prior: where least
     squares lead back to known modes, neither costs a climb.
     """
-    climber = Climber(posterior, looks_along=rng is not None)
-    best, others = _follow_jumps(climber, _climb(posterior, posterior.approach()))
+    climber = NewtonSearch(posterior, looks_along=rng is not None)
+    best, others = _follow_jumps(climber, _climb(posterior, posterior.least_squares_start()))
     first = _characterise(posterior, *best)
     if rng is not None and (found := _climb_scattered(climber, [best, *others], first, rng)):
         best, others = _follow_jumps(climber, max([best, *found], key=lambda climb: climb[1]), [best, *others, *found])
@@ -79,23 +79,23 @@ def find_modes(posterior: Target, rng: np.random.Generator | None = None) -> lis
     return [first, *modes, *_combine(climber, first, modes)]
 
 
-class Climber:
+class NewtonSearch:
     """Climbs to modes of one posterior; a climb that comes again, from a jump that was followed, is not made again."""
 
-    def __init__(self, posterior: Target, *, looks_along: bool = False) -> None:
+    def __init__(self, posterior: LogDensity, *, looks_along: bool = False) -> None:
         self.posterior, self.looks_along = posterior, looks_along
         self._known: dict[tuple[bytes, float], Climb | None] = {}
         self._jumps: dict[bytes, list[tuple[int, Array]]] = {}
 
-    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+    def mode_candidates(self, y: Array) -> list[tuple[int, Array]]:
         """Return those of the posterior from a mode (n,), and those along single coordinates where they are wanted."""
         key = y.tobytes()
         if key not in self._jumps:
             along = _look_along(self.posterior, y) if self.looks_along else []
-            self._jumps[key] = [*self.posterior.jumps(y), *along]
+            self._jumps[key] = [*self.posterior.mode_candidates(y), *along]
         return self._jumps[key]
 
-    def climb(self, start: Array, floor: float = -np.inf) -> Climb | None:
+    def maximise(self, start: Array, floor: float = -np.inf) -> Climb | None:
         """Return where a climb ends; None where no machine is to start from, or the climb leaves all machines."""
         key = start.tobytes(), floor
         if key not in self._known:
@@ -106,7 +106,7 @@ class Climber:
         return self._known[key]
 
 
-def _look_along(posterior: Target, y: Array) -> list[tuple[int, Array]]:
+def _look_along(posterior: LogDensity, y: Array) -> list[tuple[int, Array]]:
     """Return where least squares lead to from places mirrored along single coordinates of the geometry, from (n,).
 
     Where data do not see on which side of a line or a plane something is, readings change by a t + ½ c t² along its
@@ -125,9 +125,9 @@ def _look_along(posterior: Target, y: Array) -> list[tuple[int, Array]]:
         start[k] += away
         if not (abs(away) < FARTHEST_IMAGE and np.isfinite(posterior.log_density(start[None])[0])):
             continue
-        start = posterior.polish(start)
+        start = posterior.refine_geometry(start)
         leads_back = np.allclose(start, y, rtol=0.0, atol=SAME)
-        if not leads_back and posterior.log_density(start[None])[0] > here - LOST:
+        if not leads_back and posterior.log_density(start[None])[0] > here - MAX_MODE_GAP_NAT:
             found.append((MIRRORED + int(k), start))
     return found
 
@@ -140,7 +140,7 @@ def _find_mirrored(ahead: float, behind: float, far_ahead: float, far_behind: fl
     return float(-2.0 * square / product) if product else np.inf
 
 
-def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
+def _combine(climber: NewtonSearch, first: Mode, modes: list[Mode]) -> list[Mode]:
     """Return modes where several coordinates are those of other modes at once, as they differ from the first.
 
     Jumps of different coordinates hardly know of each other: their masses multiply.
@@ -154,8 +154,8 @@ def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
     for chosen in sorted(sets, key=lambda c: sum(lost[jump] for jump in c))[:MOST_COMBINATIONS]:
         for last in chosen:  # from the others' mode on, whichever leads there
             parent = found.get(tuple(jump for jump in chosen if jump != last))
-            start = None if parent is None else dict(climber.jumps(parent.y)).get(last)
-            end = None if start is None else climber.climb(start, first.log_density - HOPELESS)
+            start = None if parent is None else dict(climber.mode_candidates(parent.y)).get(last)
+            end = None if start is None else climber.maximise(start, first.log_density - HOPELESS)
             if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in known):
                 continue
             found[chosen] = _characterise(posterior, *end)
@@ -165,20 +165,20 @@ def _combine(climber: Climber, first: Mode, modes: list[Mode]) -> list[Mode]:
     return [m for m in new if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
 
 
-def _match_jumps(climber: Climber, first: Mode, modes: list[Mode]) -> dict[int, Mode]:
+def _match_jumps(climber: NewtonSearch, first: Mode, modes: list[Mode]) -> dict[int, Mode]:
     """Return of jumps from the first mode which of other modes they lead to; one alone has no other to combine with."""
     if len(modes) < 2:
         return {}
     matched: dict[int, Mode] = {}
-    for jump, start in climber.jumps(first.y):
-        end = climber.climb(start, first.log_density - HOPELESS)
+    for jump, start in climber.mode_candidates(first.y):
+        end = climber.maximise(start, first.log_density - HOPELESS)
         for mode in modes:
             if end is not None and np.allclose(mode.y, end[0], rtol=0.0, atol=SAME):
                 matched[jump] = mode
     return matched
 
 
-def _climb_scattered(climber: Climber, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
+def _climb_scattered(climber: NewtonSearch, known: list[Climb], first: Mode, rng: np.random.Generator) -> list[Climb]:
     """Return where climbs from draws of the prior end that least squares do not lead to known modes.
 
     The draw's own model errors come first, large as they may be: a mode may need them to be in reach.
@@ -189,29 +189,29 @@ def _climb_scattered(climber: Climber, known: list[Climb], first: Mode, rng: np.
     for start in posterior.draw_prior(N_SCATTERED, rng):
         if not (np.isfinite(start).all() and np.isfinite(posterior.log_density(start[None])[0])):
             continue
-        y = posterior.polish(start)
-        y = posterior.polish(np.concatenate([y[:n], first.y[n:]]))
+        y = posterior.refine_geometry(start)
+        y = posterior.refine_geometry(np.concatenate([y[:n], first.y[n:]]))
         if any(np.max(((y - mode[0]) / sd)[:n] ** 2, initial=0.0) < KNOWN for mode in (*known, *found)):
             continue
-        if posterior.log_density(y[None])[0] < first.log_density - LOST:
+        if posterior.log_density(y[None])[0] < first.log_density - MAX_MODE_GAP_NAT:
             continue
-        end = climber.climb(y, first.log_density - HOPELESS)
+        end = climber.maximise(y, first.log_density - HOPELESS)
         if end is None or any(np.allclose(end[0], mode[0], rtol=0.0, atol=SAME) for mode in (*known, *found)):
             continue
         found.append(end)
     return found
 
 
-def _follow_jumps(climber: Climber, best: Climb, known: Sequence[Climb] = ()) -> tuple[Climb, list[Climb]]:
+def _follow_jumps(climber: NewtonSearch, best: Climb, known: Sequence[Climb] = ()) -> tuple[Climb, list[Climb]]:
     """Return the best mode that jumps reach from one that was found, and the others known or seen on the way."""
     others = [climb for climb in known if climb is not best]
     came_from = -1
     while True:
         improved = False
-        for jump, start in climber.jumps(best[0]):
+        for jump, start in climber.mode_candidates(best[0]):
             if jump == came_from:
                 continue  # leads back
-            other = climber.climb(start, best[1] - HOPELESS)
+            other = climber.maximise(start, best[1] - HOPELESS)
             if other is None or any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
                 continue
             if other[1] > best[1]:
@@ -221,7 +221,7 @@ def _follow_jumps(climber: Climber, best: Climb, known: Sequence[Climb] = ()) ->
             return best, others
 
 
-def revisit_modes(posterior: Target, starts: Sequence[Array] | Array, known: Sequence[Mode] = ()) -> list[Mode]:
+def revisit_modes(posterior: LogDensity, starts: Sequence[Array] | Array, known: Sequence[Mode] = ()) -> list[Mode]:
     """Return known modes and those that climbs from starts, each (n,), lead to, best first; those with mass alone.
 
     Raises
@@ -230,9 +230,9 @@ def revisit_modes(posterior: Target, starts: Sequence[Array] | Array, known: Seq
         Where none is known and no start leads to one.
     """
     found = list(known)
-    climber = Climber(posterior)
+    climber = NewtonSearch(posterior)
     for start in starts:
-        end = climber.climb(start)
+        end = climber.maximise(start)
         if end is None or any(np.allclose(end[0], mode.y, rtol=0.0, atol=SAME) for mode in found):
             continue
         found.append(_characterise(posterior, *end))
@@ -244,7 +244,7 @@ def revisit_modes(posterior: Target, starts: Sequence[Array] | Array, known: Seq
     ]
 
 
-def find_mode(posterior: Target, start: Array) -> Mode:
+def find_mode(posterior: LogDensity, start: Array) -> Mode:
     """Climb to a mode from a start in sampling coordinates, shape (n,).
 
     Raises
@@ -255,7 +255,7 @@ def find_mode(posterior: Target, start: Array) -> Mode:
     return _characterise(posterior, *_climb(posterior, start))
 
 
-def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
+def _climb(posterior: LogDensity, start: Array, floor: float = -np.inf) -> Climb:
     """Return a local maximum and its log-density: geometry by least squares, then everything by a trust region.
 
     A climb that is still below the floor after PATIENCE steps is given up where it is.
@@ -264,7 +264,7 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
         raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
     if posterior.linear_geometry(start) is not None:
         return _climb_given_errors(posterior, start)
-    y = posterior.polish(start)
+    y = posterior.refine_geometry(start)
     surface = _Surface(posterior)
     steps, last = 0, np.inf
 
@@ -290,7 +290,7 @@ def _climb(posterior: Target, start: Array, floor: float = -np.inf) -> Climb:
     return result.x, float(-result.fun)
 
 
-def _climb_given_errors(posterior: Target, start: Array) -> Climb:
+def _climb_given_errors(posterior: LogDensity, start: Array) -> Climb:
     """Return the geometry that is best at the errors that are most probable whatever the geometry, and the log-density.
 
     The joint mode of both is none of the errors' density. Geometry by Gauss and Newton's steps, halved where one leads
@@ -319,7 +319,7 @@ def _climb_given_errors(posterior: Target, start: Array) -> Climb:
 class _Surface:
     """Gradient and Hessian along a climb; those of the last two points are kept, as a step may be taken back."""
 
-    def __init__(self, posterior: Target) -> None:
+    def __init__(self, posterior: LogDensity) -> None:
         self._posterior = posterior
         self._known: dict[bytes, tuple[Array, Array]] = {}
 
@@ -345,7 +345,7 @@ class _Surface:
         return float(white @ white)
 
 
-def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
+def _characterise(posterior: LogDensity, y: Array, log_density: float) -> Mode:
     """Return the mode at y with its covariance; converged where a Newton step would gain next to nothing."""
     linear = posterior.linear_geometry(y)
     if linear is not None:
@@ -360,7 +360,7 @@ def _characterise(posterior: Target, y: Array, log_density: float) -> Mode:
     return mode if white @ white < DECREMENT_TOLERANCE else _settle(posterior, mode)
 
 
-def _settle(posterior: Target, mode: Mode) -> Mode:
+def _settle(posterior: LogDensity, mode: Mode) -> Mode:
     """Return a mode after Newton's steps by differences: of a density that is solved they are the exacter slope."""
     factor = np.linalg.cholesky(mode.covariance)
     for _ in range(LAST_STEPS):
@@ -377,7 +377,7 @@ def _settle(posterior: Target, mode: Mode) -> Mode:
     return mode
 
 
-def _factor_negative(posterior: Target, y: Array, curvature: Array) -> tuple[Array, Array]:
+def _factor_negative(posterior: LogDensity, y: Array, curvature: Array) -> tuple[Array, Array]:
     """Return F, F Fᵀ the inverse of minus the Hessian, and the slope along its columns (n,), zero where it is unknown.
 
     F is that of Gauss and Newton's Hessian where the exact one is no maximum's.
@@ -399,7 +399,7 @@ def _factor_negative(posterior: Target, y: Array, curvature: Array) -> tuple[Arr
     return _differentiate(posterior, y, found[0]) or found
 
 
-def _differentiate(posterior: Target, y: Array, factor: Array) -> tuple[Array, Array] | None:
+def _differentiate(posterior: LogDensity, y: Array, factor: Array) -> tuple[Array, Array] | None:
     """Return F with F Fᵀ the inverse of minus the Hessian and the slope along its columns, (n, n) and (n,).
 
     By differences along the columns of a factor (n, n); None at no maximum.

@@ -15,12 +15,12 @@ from scipy.special import logsumexp
 
 from bayescal.inference.importance import LogDensity, difference_twice
 from bayescal.inference.proposal import MixtureProposal
-from bayescal.inference.straightening import QUANTILES, Bend, Curve, Straightening, bend_from_quantiles
+from bayescal.inference.reparameterisation import QUANTILES, Bend, Curve, Reparameterisation, bend_from_quantiles
 from bayescal.numerics.geometry import Array
 
-STEP = 1.0  # posterior sds
+PEAK_STEP = 1.0  # posterior sds
 MAX_STEPS = 3
-ASTRAY = 50.0  # nats that no step to a peak from a mode nearby gains
+MAX_PEAK_GAIN_NAT = 50.0  # nats that no step to a peak from a mode nearby gains
 CURVATURE_BOUNDS = (0.1, 10.0)  # of a step's curvature in units of the last one's
 LONGEST_STEP = 4.0
 SETTLED_GAIN, SETTLED_CURVATURE = 0.02, 0.1  # nats, and the squared logarithms of all axes' curvatures together
@@ -30,7 +30,7 @@ LEAST_WEIGHT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Peak:
+class GaussianMode:
     """A Gaussian around a peak: its centre (n,), Cholesky factor (n, n) and the log-density at its centre."""
 
     centre: Array
@@ -43,7 +43,7 @@ class Peak:
         return self.log_density + float(np.log(np.diag(self.factor)).sum()) + 0.5 * len(self.centre) * np.log(2 * np.pi)
 
 
-def proposal_from_peaks(peaks: Sequence[Peak], dof: float) -> MixtureProposal:
+def proposal_from_peaks(peaks: Sequence[GaussianMode], dof: float) -> MixtureProposal:
     """Return a mixture over the peaks, weighted by their mass; none so little that draws hardly lead there.
 
     The mass of a lesser peak is the less sure: its own ridge may be bent in coordinates that are straight at the best.
@@ -54,21 +54,21 @@ def proposal_from_peaks(peaks: Sequence[Peak], dof: float) -> MixtureProposal:
     return MixtureProposal(weights / weights.sum(), centres, factors, dof)
 
 
-def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
+def refine_peak(log_density: LogDensity, peak: GaussianMode) -> GaussianMode:
     """Return the peak after Newton steps with gradients and Hessians by differences over a posterior sd.
 
     Where they lead nowhere, it is returned as it is.
     """
     centre, factor = peak.centre, peak.factor
     for _ in range(MAX_STEPS):
-        gradient, hessian = difference_twice(log_density, centre, factor, STEP)
+        gradient, hessian = difference_twice(log_density, centre, factor, PEAK_STEP)
         if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
             return peak
         values, vectors = np.linalg.eigh(-hessian)
         values = np.clip(values, *CURVATURE_BOUNDS)
         step = vectors @ ((vectors.T @ gradient) / values)
         gain, length = float(gradient @ step), float(np.linalg.norm(step))
-        if gain > ASTRAY:
+        if gain > MAX_PEAK_GAIN_NAT:
             return peak
         centre = centre + factor @ (step * min(1.0, LONGEST_STEP / length) if length > 0 else step)
         factor = factor @ (vectors / np.sqrt(values))
@@ -77,10 +77,10 @@ def refine_peak(log_density: LogDensity, peak: Peak) -> Peak:
     found = float(log_density(centre[None])[0])
     if not np.isfinite(found):
         return peak
-    return Peak(centre, np.linalg.cholesky(factor @ factor.T), found)
+    return GaussianMode(centre, np.linalg.cholesky(factor @ factor.T), found)
 
 
-def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
+def bend_at(straight: Reparameterisation, peak: GaussianMode) -> tuple[Reparameterisation, GaussianMode]:
     """Return the straightening with bends fitted to the model errors' conditional densities at a peak.
 
     Along each ζ, the geometry following the stretch, quantiles of the density on a grid take the place of draws'.
@@ -103,14 +103,14 @@ def bend_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
     scale = np.ones(len(centre))
     scale[n:] = _bend_slope(straight.bend, peak.centre[n:]) / _bend_slope(bent.bend, centre[n:])
     scaled = scale[:, None] * peak.factor
-    return bent, Peak(centre, np.linalg.cholesky(scaled @ scaled.T), peak.log_density)
+    return bent, GaussianMode(centre, np.linalg.cholesky(scaled @ scaled.T), peak.log_density)
 
 
 def _bend_slope(bend: Bend | None, eta: Array) -> Array:
     return np.ones_like(eta) if bend is None else bend.slope(eta)
 
 
-def curve_at(straight: Straightening, peak: Peak) -> tuple[Straightening, Peak]:
+def curve_at(straight: Reparameterisation, peak: GaussianMode) -> tuple[Reparameterisation, GaussianMode]:
     """Return the straightening with shears along the curved ridges that have none, from how other coordinates follow.
 
     From both sides of the peak along the ridge, a Newton step of the coordinates that follow shows where the density

@@ -16,7 +16,7 @@ COMPONENTS = (1, 2, 4, 8, 16, 32)
 DOF = 10.0  # heavier tails than a Gaussian's, since a cloud of draws tells little of its own tails
 GAIN = 0.02  # nats per draw that more components have to gain on draws they have not seen
 SWEEPS = 8
-ENOUGH = 4  # effective draws per component and coordinate
+MIN_DRAWS_PER_COMPONENT = 4  # effective draws per component and coordinate
 FLOOR = 1e-3  # of the whole cloud's variance that each component keeps
 
 
@@ -93,7 +93,7 @@ def fit_mixture(draws: Array, weights: Array, seen: np.ndarray, rng: np.random.G
     best, score = MixtureProposal(np.ones(1), np.zeros((1, n)), np.eye(n)[None], DOF), -np.inf
     effective = weights[seen].sum() ** 2 / (weights[seen] ** 2).sum()
     for n_components in COMPONENTS:
-        if n_components * ENOUGH * n > effective:
+        if n_components * MIN_DRAWS_PER_COMPONENT * n > effective:
             break
         found = best if n_components == 1 else _fit(white[seen], weights[seen], n_components, rng)
         gained = float(weights[~seen] @ found.log_density(white[~seen]) / weights[~seen].sum())

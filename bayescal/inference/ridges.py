@@ -17,12 +17,12 @@ from numpy.polynomial.chebyshev import chebder, chebfit, chebpts1, chebval
 
 from bayescal.inference.importance import difference_many
 from bayescal.inference.mode import Mode
-from bayescal.inference.skew import Quantiles, Skew, find_quantiles
-from bayescal.inference.straightening import Ridges, Straightening
-from bayescal.inference.target import Target
+from bayescal.inference.quantile_transform import Quantiles, QuantileTransform, find_quantiles
+from bayescal.inference.reparameterisation import Reparameterisation, Ridges
+from bayescal.inference.target import LogDensity
 from bayescal.numerics.geometry import Array
 
-STEP = 0.75  # posterior sds at the mode
+RIDGE_STEP = 0.75  # posterior sds at the mode
 MOST_STEPS = 24  # to either side
 DROP = 8.0  # nats below the mode, where a ridge has ended
 HALVINGS = 3  # of a step where a ridge seems to end
@@ -44,7 +44,7 @@ class _Points:
     log_mass: Array
 
 
-def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightening:
+def trace_ridges(straight: Reparameterisation, modes: Sequence[Mode]) -> Reparameterisation:
     """Return the straightening with every curved ridge traced from the modes, best first, and bent by its mass.
 
     A coordinate along which modes lie beside each other, not one after the other, keeps the curve that it has.
@@ -59,7 +59,9 @@ def trace_ridges(straight: Straightening, modes: Sequence[Mode]) -> Straightenin
     return replace(straight, curves=curves, ridges=sheared, skew=skew)
 
 
-def _trace_all(posterior: Target, modes: Sequence[Mode], ridges: Mapping[int, np.ndarray]) -> dict[int, list[_Points]]:
+def _trace_all(
+    posterior: LogDensity, modes: Sequence[Mode], ridges: Mapping[int, np.ndarray]
+) -> dict[int, list[_Points]]:
     """Return the ridges along each coordinate, the best mode's first, where none lie beside each other."""
     found: dict[int, list[_Points]] = {base: [] for base in ridges}
     for mode in modes:
@@ -95,7 +97,7 @@ def _join(found: Sequence[_Points]) -> _Points:
     return _Points(along, following, log_mass)
 
 
-def _trace(posterior: Target, mode: Mode, ridges: Mapping[int, np.ndarray]) -> dict[int, _Points | None]:
+def _trace(posterior: LogDensity, mode: Mode, ridges: Mapping[int, np.ndarray]) -> dict[int, _Points | None]:
     """Return the points of ridges on both sides of a mode; None where one side has none.
 
     All are traced side by side, each step one batch of the density for those with as many coordinates that follow.
@@ -132,7 +134,7 @@ class _Lane:
     def __init__(self, mode: Mode, base: int, others: np.ndarray, side: float) -> None:
         width = np.sqrt(mode.covariance[base, base])
         self.base, self.others, self.points = base, others, list[_Point]()
-        self._start, self._step = mode.y, side * STEP * width
+        self._start, self._step = mode.y, side * RIDGE_STEP * width
         self._lean, self._halved = self._step * mode.covariance[others, base] / width**2, 0
         inner = np.linalg.cholesky(np.linalg.inv(mode.covariance)[np.ix_(others, others)])
         self.factor = np.zeros((len(mode.y), len(others)))
@@ -159,7 +161,7 @@ class _Lane:
         return y
 
 
-def _follow(posterior: Target, lanes: Sequence[_Lane], floor: float) -> None:
+def _follow(posterior: LogDensity, lanes: Sequence[_Lane], floor: float) -> None:
     """Add points to lanes until the density is below the floor or has no such place, by prediction and correction.
 
     Where a step leads nowhere shorter ones are tried: what follows may turn away faster than it did.
@@ -178,7 +180,7 @@ def _follow(posterior: Target, lanes: Sequence[_Lane], floor: float) -> None:
         running = goes_on
 
 
-def _correct(posterior: Target, lanes: Sequence[_Lane]) -> list[_Point | None]:
+def _correct(posterior: LogDensity, lanes: Sequence[_Lane]) -> list[_Point | None]:
     """Return each lane's next point, with the best of the coordinates that follow; None where there is none nearby."""
     y, factors = np.stack([lane.predict() for lane in lanes]), np.stack([lane.factor for lane in lanes])
     found: list[_Point | None] = [None] * len(lanes)
@@ -237,7 +239,7 @@ def _fit_series(place: Array, following: Array, inner: Array, origin: float) -> 
     return series
 
 
-def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Skew:
+def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> QuantileTransform:
     """Return the bend of coordinates by the mass along them; what leans on them at the mode follows."""
     bases = list(traced)
     found = []
@@ -252,7 +254,7 @@ def _fit_skew(mode: Mode, n_geometry: int, traced: Mapping[int, _Points]) -> Ske
     lean[:, followers] = np.linalg.solve(
         mode.covariance[np.ix_(bases, bases)], mode.covariance[np.ix_(bases, followers)]
     )
-    return Skew(np.array(bases), mode.y[bases], quantiles, lean)
+    return QuantileTransform(np.array(bases), mode.y[bases], quantiles, lean)
 
 
 def _reach(log_mass: Array) -> int:

@@ -11,9 +11,9 @@ import numpy as np
 from bayescal.inference.diagnostics import Diagnostics, diagnose
 from bayescal.inference.ensemble import JUMP_SHARE, Draw, Ensemble, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration
+from bayescal.inference.reparameterisation import Reparameterisation
 from bayescal.inference.schema import count_walkers
 from bayescal.inference.stages import stage
-from bayescal.inference.straightening import Straightening
 from bayescal.numerics.geometry import Array
 
 GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they move walkers farther than others
@@ -23,13 +23,13 @@ GOOD_JUMP_SHARE = 0.9  # of moves, by a proposal that is good enough: then they 
 class Sample:
     """Draws of E ensembles of W walkers in S steps, of n parameters; in other coordinates when these are asked for."""
 
-    straightening: Straightening  # to the proposal's coordinates
+    straightening: Reparameterisation  # to the proposal's coordinates
     straight: Array  # (E, W, S, n): in the proposal's coordinates
     log_density: Array  # (E, W, S): in the proposal's coordinates
     acceptance: Array  # (E,)
 
     @classmethod
-    def from_ensembles(cls, straightening: Straightening, ensembles: Sequence[Ensemble]) -> Sample:
+    def from_ensembles(cls, straightening: Reparameterisation, ensembles: Sequence[Ensemble]) -> Sample:
         """Return the draws of several ensembles."""
         draws = np.stack([ensemble.draws for ensemble in ensembles])
         log_density = np.stack([ensemble.log_density for ensemble in ensembles])

@@ -20,11 +20,11 @@ from bayescal.numerics.geometry import Array
 DOF = 8.0
 LIMITS = (-6.0, 8.0)  # of the search: beyond them the prior alone speaks
 SMALL_STEP = 1e-8  # of first differences, prior standard deviations
-STEP = 0.05  # of second ones
+SCALE_STEP = 0.05  # of second ones
 LEAST_CURVATURE = 0.3  # of the density; that of the prior is 1
 PRIOR_SHARE = 0.1  # of the proposal's draws that are the prior's
 ROUNDS = 2  # of mending the proposal by weighted draws
-FEW = 3.0  # effective draws for each coordinate, as many as Laplace's covariance counts beside theirs
+MIN_EFFECTIVE_DRAWS = 3.0  # effective draws for each coordinate, as many as Laplace's covariance counts beside theirs
 
 type LogDensity = Callable[[Array], Array]
 """From coordinates (B, n) to log-densities (B,), the standard normal prior included."""
@@ -98,7 +98,7 @@ def sample_scales(log_density: LogDensity, mode: Array, n_draws: int, n_kept: in
         draws = proposal.draw(max(n_draws // 4, 20 * len(mode)), rng)
         log_weights = _evaluate(log_density, draws) - proposal.log_density(draws)
         weights = np.exp(log_weights - logsumexp(log_weights))
-        mean, effective, few = weights @ draws, 1.0 / np.sum(weights**2), FEW * len(mode)
+        mean, effective, few = weights @ draws, 1.0 / np.sum(weights**2), MIN_EFFECTIVE_DRAWS * len(mode)
         spread = (draws - mean).T * weights @ (draws - mean)  # few effective draws hardly change Laplace's covariance
         proposal = _propose(mean, (effective * spread + few * laplace) / (effective + few))
     draws = proposal.draw(n_draws, rng)
@@ -138,10 +138,10 @@ def _evaluate(log_density: LogDensity, draws: Array) -> Array:
 def _find_covariance(log_density: LogDensity, mode: Array) -> Array:
     """Return minus the inverse Hessian at the mode by differences, kept no wider than tails need."""
     n = len(mode)
-    steps, (i, j) = STEP * np.eye(n), np.tril_indices(n, -1)
+    steps, (i, j) = SCALE_STEP * np.eye(n), np.tril_indices(n, -1)
     points = np.concatenate([np.zeros((1, n)), steps, -steps, steps[i] + steps[j]])
     centre, ahead, behind, both = np.split(log_density(mode + points), [1, 1 + n, 1 + 2 * n])
-    hessian = np.diag((ahead - 2.0 * centre + behind) / STEP**2)
-    hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / STEP**2
+    hessian = np.diag((ahead - 2.0 * centre + behind) / SCALE_STEP**2)
+    hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + centre) / SCALE_STEP**2
     values, vectors = np.linalg.eigh(-hessian)
     return np.asarray(vectors / np.maximum(values, LEAST_CURVATURE) @ vectors.T)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Final, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from bayescal.config.classes import ClassMark
 from bayescal.config.sections import Positive, Section
+from bayescal.errors import InputError
 
 SHORT: Final = (5, 15)
 """Steps to drop and to keep where importance weights show that the proposal is nearly the posterior."""
@@ -23,13 +25,31 @@ def is_none(value: object) -> bool:
     return value is None
 
 
+EMCEE: Final = "emcee"
+
+
+def check_installed[S: (str, str | None)](name: S) -> S:
+    """Return a sampler's name; ValueError where its library is not installed."""
+    found = getattr(name, "found", None)
+    if found is not None:
+        try:
+            found.check_installed()
+        except InputError as error:
+            raise ValueError(str(error)) from error
+    return name
+
+
 class SamplerConfig(Section):
-    """Ensembles of walkers.
+    """What draws the posteriors: ensembles of walkers, or another sampler.
 
     Where steps are not stated, their number follows the posterior: few where the proposal is nearly the posterior, and
     more, up to 320, until the diagnostics pass.
     """
 
+    backend: Annotated[str, ClassMark("SAMPLERS"), AfterValidator(check_installed)] = Field(
+        default=EMCEE, exclude_if=lambda value: value == EMCEE
+    )
+    """The sampler by its name, or a table of its `class` and options; `bayescal list samplers` shows all."""
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     """Number of independent ensembles of walkers, each of which is a chain."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
@@ -58,17 +78,26 @@ def count_walkers(n_parameters: int, n_walkers: int) -> int:
 class EvidenceConfig(Section):
     """Effort of the evidence estimators; importance sampling goes on until its standard error is small enough.
 
-    On demand each evidence is checked by tempering, which owes nothing to the search for modes.
+    On demand each evidence is checked by another sampler, which owes nothing to the search for modes.
     """
 
     draws: Annotated[int, Field(ge=1000, le=10_000_000)] = FIRST_DRAWS
     """Draws for importance sampling to begin with."""
     max_draws: Annotated[int, Field(ge=1000, le=10_000_000)] = 100_000
     """Draws at which it ends, whatever its error is."""
-    target_error: Positive = 0.01
+    tolerance_nat: Positive = 0.01
     """Standard error of the log-evidence at which it ends [nat]."""
-    check: Literal["tempered"] | None = Field(default=None, exclude_if=is_none)
-    """`"tempered"`: check each evidence by tempering from the prior, which takes longer."""
+    cross_check: Annotated[str, ClassMark("SAMPLERS")] | None = Field(default=None, exclude_if=is_none)
+    """A sampler that checks each evidence by its own: `"smc"`, sequential Monte Carlo from the prior, or `"nautilus"`,
+    nested sampling by another library; both take longer."""
+
+    @field_validator("cross_check")
+    @classmethod
+    def _check_sampler(cls, value: str | None) -> str | None:
+        found = getattr(check_installed(value), "found", None)
+        if found is not None and not found.finds_evidence:
+            raise ValueError(f"found {value!r}, a sampler without an evidence of its own, expected one such as 'smc'")
+        return value
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:

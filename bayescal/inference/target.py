@@ -8,12 +8,12 @@ from typing import Protocol
 import numpy as np
 
 from bayescal.density.components import LinearGeometry
-from bayescal.density.posterior import Funnel
+from bayescal.density.posterior import ScaleDependence
 from bayescal.density.priors import Prior
 from bayescal.numerics.geometry import Array
 
 
-class Prospect(Protocol):
+class PriorSampleable(Protocol):
     """What tempering needs: a prior to draw from, in coordinates y of n entries, and what the data make of it."""
 
     @property
@@ -30,7 +30,7 @@ class Prospect(Protocol):
         """Return log-likelihood plus log-prior, (B, n) to (B,), -inf where there is no machine."""
 
 
-class Target(Prospect, Protocol):
+class LogDensity(PriorSampleable, Protocol):
     """A posterior in sampling coordinates y of n entries, first those of the geometry, then those of model errors.
 
     The geometry's coordinates are in units of the prior standard deviations; zero is the machine as expected. Each of N
@@ -44,7 +44,7 @@ class Target(Prospect, Protocol):
     def natural(self, y: Array) -> Array:
         """Return the parameters in their own units, (..., n) to (..., n)."""
 
-    def finer(self) -> Target | None:
+    def exact(self) -> LogDensity | None:
         """Return the same posterior by a density that is slower and leaves nothing out; None where there is none."""
 
     def pointwise(self, y: Array) -> Array:
@@ -58,13 +58,13 @@ class Target(Prospect, Protocol):
 
     # --- climbing ------------------------------------------------------------------------------------------------
 
-    def approach(self) -> Array:
+    def least_squares_start(self) -> Array:
         """Return a start near the mode, shape (n,)."""
 
-    def polish(self, y: Array) -> Array:
+    def refine_geometry(self, y: Array) -> Array:
         """Return y, shape (n,), with the geometry that is best at its model errors."""
 
-    def jumps(self, y: Array) -> list[tuple[int, Array]]:
+    def mode_candidates(self, y: Array) -> list[tuple[int, Array]]:
         """Return where other modes may be, seen from a mode at y, shape (n,): a jump's number, and where it leads.
 
         A jump of the same number leads back from there.
@@ -87,11 +87,11 @@ class Target(Prospect, Protocol):
     def linear_geometry(self, y: Array) -> LinearGeometry | None:
         """Return the geometry about y, shape (n,), as normal given the errors; None where `funnel` tells enough."""
 
-    def funnel(self, y: Array) -> Funnel | None:
+    def scale_dependence(self, y: Array) -> ScaleDependence | None:
         """Return what makes the geometry the less certain the larger a model error, at y (n,); None without them."""
 
 
-class Fittable(Target, Protocol):
+class LogPosterior(LogDensity, Protocol):
     """A posterior whose fit is judged, too: its rows are left out one by one, its priors are varied."""
 
     @property
@@ -105,7 +105,7 @@ class Fittable(Target, Protocol):
     def theta(self, y: Array) -> Array:
         """Return full parameter vectors (B, D) of coordinates (B, n)."""
 
-    def adopt(self, theta: Array, errors: Array) -> Array:
+    def to_coordinates(self, theta: Array, errors: Array) -> Array:
         """Return the coordinates (M, n) of machines θ (M, D), brought within the priors' bounds, and of errors.
 
         The latter are in coordinates, (M, n - m).

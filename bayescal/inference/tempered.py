@@ -24,7 +24,7 @@ from bayescal.inference.bridge import iterate_bridge
 from bayescal.inference.importance import evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal, fit_mixture
 from bayescal.inference.stages import stage
-from bayescal.inference.target import Prospect
+from bayescal.inference.target import PriorSampleable
 from bayescal.numerics.geometry import Array
 
 USEFUL = 0.5  # share of effective draws from one temperature to the next
@@ -51,6 +51,7 @@ class TemperedEvidence:
     y: Array  # (S, n): draws in sampling coordinates, all runs together
     weights: Array  # (S,): their weights, which add up to one
     mixed: bool  # whether all chains forgot their starts
+    n_draws: tuple[int, ...]  # of each run, in order
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ class _Run:
 
 
 def estimate_by_tempering(
-    target: Prospect, seed: np.random.SeedSequence, n_chains: int = CHAINS, n_runs: int = RUNS
+    target: PriorSampleable, seed: np.random.SeedSequence, n_chains: int = CHAINS, n_runs: int = RUNS
 ) -> TemperedEvidence:
     """Return the log-evidence of a target, and draws of it, from independent runs that start from its prior.
 
@@ -103,10 +104,11 @@ def estimate_by_tempering(
         np.concatenate([run.cloud.y for run in runs]),
         np.concatenate([np.full(len(run.cloud.y), 1.0 / (len(run.cloud.y) * n_runs)) for run in runs]),
         all(run.mixed for run in runs),
+        tuple(len(run.cloud.y) for run in runs),
     )
 
 
-def _run(target: Prospect, rng: np.random.Generator, n_chains: int) -> _Run:
+def _run(target: PriorSampleable, rng: np.random.Generator, n_chains: int) -> _Run:
     cloud = _evaluate(target, target.draw_prior(n_chains * SHORTEST * 2, rng))
     beta, mixed = 0.0, True
     while beta < 1.0:
@@ -130,7 +132,7 @@ def _fit(cloud: _Cloud, weights: Array, n_chains: int, rng: np.random.Generator)
 
 
 def _bridge(
-    target: Prospect, cloud: _Cloud, mixture: MixtureProposal, n_chains: int, rng: np.random.Generator
+    target: PriorSampleable, cloud: _Cloud, mixture: MixtureProposal, n_chains: int, rng: np.random.Generator
 ) -> float:
     """Return the log-evidence from draws of the posterior and as many of a mixture that was fitted to others."""
     proposed = mixture.draw(len(cloud.y), rng)
@@ -144,7 +146,7 @@ def _bridge(
     return log_evidence + offset
 
 
-def _evaluate(target: Prospect, y: Array) -> _Cloud:
+def _evaluate(target: PriorSampleable, y: Array) -> _Cloud:
     """Return a cloud at vectors (B, n); those that are not finite, or no machine, have no likelihood."""
     there = np.isfinite(y).all(axis=1)
     inside = np.where(there[:, None], y, 0.0)
@@ -187,7 +189,7 @@ def _resample(weights: Array, n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _settle(
-    target: Prospect, cloud: _Cloud, weights: Array, beta: float, n_chains: int, rng: np.random.Generator
+    target: PriorSampleable, cloud: _Cloud, weights: Array, beta: float, n_chains: int, rng: np.random.Generator
 ) -> tuple[_Cloud, bool]:
     """Return the draws of p L^β that come of a weighted cloud: rounds of chains until one neither remembers nor drifts.
 
@@ -214,7 +216,7 @@ def _have_drifted(first: _Cloud, last: _Cloud) -> bool:
     return bool((np.abs(after.mean(axis=0) - before.mean(axis=0)) > DRIFT * error).any())
 
 
-def _move(target: Prospect, first: _Cloud, beta: float, mover: _Mover) -> tuple[_Cloud, _Cloud, bool]:
+def _move(target: PriorSampleable, first: _Cloud, beta: float, mover: _Mover) -> tuple[_Cloud, _Cloud, bool]:
     """Return the last and all states of chains on p L^β, and whether they forgot their starts."""
     here, states, enough, scale = first, list[_Cloud](), LONGEST, 1.0
     for step in range(1, LONGEST + 1):
@@ -238,7 +240,7 @@ def _have_forgotten(first: _Cloud, here: _Cloud) -> bool:
     return bool(correlation.max() < FORGOTTEN + 2.0 / np.sqrt(len(before)))
 
 
-def _step(target: Prospect, here: _Cloud, beta: float, mover: _Mover, scale: float) -> tuple[_Cloud, float]:
+def _step(target: PriorSampleable, here: _Cloud, beta: float, mover: _Mover, scale: float) -> tuple[_Cloud, float]:
     """Return the chains after one move; and, of local moves, how much too often they were accepted, otherwise NaN."""
     kind = mover.rng.choice(MOVES, p=SHARES)
     proposed, log_ratio = mover.propose(str(kind), here.y, scale)

@@ -1,9 +1,9 @@
-"""A posterior found again when a few measurements have come to those it was found for: updated, not begun anew.
+"""A posterior found again when a few measurements have come to those it was found for: updated, not begun again.
 
 More measurements of the same machine move the mode by little. A few Newton steps from where it was lead to the new one;
 Laplace's approximation there, in coordinates that straighten the funnel of the model errors, is a proposal whose draws
 are weighed by the density itself. Where their weights have a heavy tail, or other modes may hold mass, the posterior is
-explored anew. Where errors hang together from row to row their sizes have no mode to speak of: covariance and evidence
+explored again. Where errors hang together from row to row their sizes have no mode to speak of: covariance and evidence
 are then those of the draws.
 """
 
@@ -17,11 +17,11 @@ import numpy as np
 from bayescal.inference.exploration import DOF, explore
 from bayescal.inference.importance import Resampled, resample
 from bayescal.inference.mode import DECREMENT_TOLERANCE, Mode, find_mode
-from bayescal.inference.peaks import Peak, bend_at, proposal_from_peaks
+from bayescal.inference.peaks import GaussianMode, bend_at, proposal_from_peaks
+from bayescal.inference.reparameterisation import straighten
 from bayescal.inference.sampling import sample_posterior
 from bayescal.inference.solutions import find_solutions
-from bayescal.inference.straightening import straighten
-from bayescal.inference.target import Target
+from bayescal.inference.target import LogDensity
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -33,7 +33,7 @@ type Way = Literal["updated", "explored", "sampled"]
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class LaplacePosterior:
     """What is known of the n coordinates of a posterior."""
 
     y: Array  # (n,): the mode
@@ -46,10 +46,12 @@ class Belief:
     # share of the proposal's draws that count, and the shape of the tail of their weights
     efficiency: float
     pareto_k: float
-    way: Way  # ``updated`` from the last mode, ``explored`` anew, or ``sampled`` by ensembles
+    way: Way  # ``updated`` from the last mode, ``explored`` again, or ``sampled`` by ensembles
 
 
-def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, anew: bool = True) -> Belief:
+def update(
+    posterior: LogDensity, start: Array | None, n_draws: int, seed: int, *, may_explore: bool = True
+) -> LaplacePosterior:
     """Return what is known of a posterior whose mode is near a start.
 
     Parameters
@@ -61,28 +63,28 @@ def update(posterior: Target, start: Array | None, n_draws: int, seed: int, *, a
         How many draws to return.
     seed : int
         The same one gives draws that differ from those before by what the measurements tell alone.
-    anew : bool
-        Whether to explore the posterior anew where the update will not do; it takes a second or two.
+    may_explore : bool
+        Whether to explore the posterior again where the update will not do; it takes a second or two.
 
     Raises
     ------
     NumericalError
         Where no mode is found.
     """
-    mode = climb(posterior, posterior.approach() if start is None else start)
-    if not (anew and posterior.jumps(mode.y)):
+    mode = maximise(posterior, posterior.least_squares_start() if start is None else start)
+    if not (may_explore and posterior.mode_candidates(mode.y)):
         straight = straighten(posterior, mode)
         centre = straight.x_from_y(mode.y[None])
-        rough = Peak(centre[0], np.linalg.cholesky(mode.covariance), mode.log_density)
+        rough = GaussianMode(centre[0], np.linalg.cholesky(mode.covariance), mode.log_density)
         straight, peak = bend_at(straight, rough)
         proposal, rng = proposal_from_peaks([peak], DOF), np.random.default_rng(seed)
         made = resample(straight.log_density, proposal, rng, PER_KEPT * n_draws, n_draws)
-        if not anew or made.pareto_k <= PARETO_K_LIMIT:
+        if not may_explore or made.pareto_k <= PARETO_K_LIMIT:
             return _collect(posterior, mode, straight.y_from_x(made.draws), made, "updated")
     return _begin_anew(posterior, n_draws, seed)
 
 
-def climb(posterior: Target, start: Array) -> Mode:
+def maximise(posterior: LogDensity, start: Array) -> Mode:
     """Return the mode that Newton's steps from a start (n,) lead to, with the Gauss-Newton covariance there.
 
     Steps that do not gain are halved; where that does not help, the search of `bayescal.inference.mode` takes over.
@@ -109,13 +111,13 @@ def climb(posterior: Target, start: Array) -> Mode:
     return find_mode(posterior, start if not np.isfinite(value) else y)
 
 
-def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
+def _begin_anew(posterior: LogDensity, n_draws: int, seed: int) -> LaplacePosterior:
     """Return what is known by exploring the posterior, and by ensembles where importance resampling will not do.
 
     Of several solutions the most probable one is kept: a mean over several is no machine.
     """
     explore_seed, draw_seed, ensemble_seed = np.random.SeedSequence([seed, 1]).spawn(3)
-    found = explore(posterior, explore_seed, anew=True)
+    found = explore(posterior, explore_seed, from_prior=True)
     straight, rng = found.straight, np.random.default_rng(draw_seed)
     made = resample(straight.log_density, found.proposal, rng, PER_KEPT * n_draws, n_draws)
     way: Way = "explored" if made.pareto_k <= PARETO_K_LIMIT else "sampled"
@@ -130,8 +132,8 @@ def _begin_anew(posterior: Target, n_draws: int, seed: int) -> Belief:
     return _collect(posterior, mode, chosen, made, way)
 
 
-def _collect(posterior: Target, mode: Mode, draws: Array, made: Resampled, way: Way) -> Belief:
+def _collect(posterior: LogDensity, mode: Mode, draws: Array, made: Resampled, way: Way) -> LaplacePosterior:
     covariance, log_evidence = mode.covariance, mode.log_evidence
     if posterior.linear_geometry(mode.y) is not None:
         covariance, log_evidence = np.cov(draws, rowvar=False), made.log_evidence
-    return Belief(mode.y, covariance, log_evidence, draws, made.efficiency, made.pareto_k, way)
+    return LaplacePosterior(mode.y, covariance, log_evidence, draws, made.efficiency, made.pareto_k, way)

@@ -3,9 +3,9 @@
 Two shears of unit Jacobian take the curvature of the unit sphere, on which u has two components t1 and t2 and a third
 that follows (see `parameters`), out of the ridges:
 
-- in place of the attachment point a, the joint at the initial actuator position, c = a + ρ^0 u, which is what the poses
+- instead of the attachment point a, the joint at the initial actuator position, c = a + ρ^0 u, which is what the poses
   determine;
-- in place of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
+- instead of κ, the gain of the actuator along the leg, κ' = κ - u_z - (z_x u_x + z_y u_y) / z_z with z the nominal leg
   direction (RR-8096 eqs. 38 to 40), which is what κ and u together can tell. Along a level leg κ does nothing.
 
 Where κ is not free, both components of a direction are replaced by its gain and its azimuth about the leg, in the local
@@ -20,7 +20,7 @@ no walker meets a bound.
 `ClosingCoordinates` are for legs whose joints are hardly known. Measured poses determine the mean closure of a leg to a
 fraction of a micrometre, its joints perhaps to a millimetre only: where the model error may be a function of the pose.
 The length that closes the leg is no linear function of where the joints are, and a millimetre squared over the leg is
-micrometres. In place of the length l stands what it is beyond the length that closes the leg at a reference pose; as a
+micrometres. Instead of the length l stands what it is beyond the length that closes the leg at a reference pose; as a
 shear along l this has unit Jacobian.
 """
 

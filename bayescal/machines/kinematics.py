@@ -82,7 +82,7 @@ def _sign(value: Array, least: float) -> Array:
 
 STEP_TOLERANCE = 1e-10
 MOST_STEPS = 30  # of Newton's method
-NEAR = 5.0  # mm, within which a reading of an actuator is where to look for it
+START_WITHIN_MM = 5.0  # mm, within which a reading of an actuator is where to look for it
 SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
 ACROSS = 1e-3  # of a leg's direction along its actuator, below which the actuator does not move it
@@ -297,7 +297,7 @@ def solve_inverse_kinematics(
     check : bool
         Raise where no actuator positions are found; otherwise the result's ``converged`` says so.
     near : ndarray, shape (..., N), optional
-        Where Newton's method starts in place of perfect legs, such as where the actuators were read; NaN where unknown.
+        Where Newton's method starts instead of perfect legs, such as where the actuators were read; NaN where unknown.
     """
     layout, n_legs = machine.layout, machine.mechanism.n_legs
     shape = (*np.broadcast_shapes(theta.shape[:-1], position.shape[:-1]), n_legs)
@@ -306,7 +306,7 @@ def solve_inverse_kinematics(
     if not settled:
         initial = machine.mechanism.initial_actuator_positions
         if near is not None:  # on the side of the foot on which perfect legs stand
-            actuators = np.where(np.abs(near - actuators) < NEAR, near, actuators)
+            actuators = np.where(np.abs(near - actuators) < START_WITHIN_MM, near, actuators)
         actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
         closure = machine.model.prepare(layout, theta)
         for _ in range(MOST_STEPS):

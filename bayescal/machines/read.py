@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import create_model
 
-from bayescal.config.classes import Choice, choose, find_classes, find_files, name_failures
+from bayescal.config.classes import ClassReference, choose, find_classes, find_files, name_failures
 from bayescal.config.load import check_section, find_line, read_toml
 from bayescal.config.registry import find_class, is_own, list_references, list_sources
 from bayescal.errors import InputError, name_faults
@@ -63,7 +63,7 @@ def load_mechanism(path: Path) -> Mechanism:
             actuator_range=config.legs.actuator_range_mm,
             flexures=_flexures(config, legs),
             load=_load(config.load),
-            drive=config.legs.drive,
+            drive=config.legs.actuated_joint,
             home_position=home.position,
             platform_below=home.below,
             actuator_gains=legs.get("legs.actuator_gain"),
@@ -112,7 +112,7 @@ def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> 
 
 def _directions(config: MechanismConfig, path: Path) -> Array:
     """Return unit vectors, shape (1 or N, 3); zeros for struts."""
-    if config.legs.drive == "strut":
+    if config.legs.actuated_joint == "strut":
         return np.zeros((1, 3))
     given = UPWARDS if config.legs.direction is None else config.legs.direction
     directions = np.atleast_2d(np.array(given, dtype=np.float64))
@@ -130,8 +130,8 @@ def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
     if home.position_mm is None:
         if config.legs.length_mm is None:
             raise InputError(f"{field}: missing, expected a value or [home] with position_mm")
-        if home.near_mm is not None:
-            x, y, z = home.near_mm
+        if home.initial_guess_mm is not None:
+            x, y, z = home.initial_guess_mm
             return HomeStart((x, y, z))
         return HomeStart(below=home.platform == "below")
     if config.legs.length_mm is not None:
@@ -178,28 +178,36 @@ def _on_circle(radius: float, azimuth: Array, height: float) -> Array:
 
 
 def build_named_machine(
-    mechanism: Mechanism, file: Path, model: str, deformation: str, nominal: NominalDeformation, field: str, where: Path
+    mechanism: Mechanism,
+    file: Path,
+    model: str,
+    deformation: str,
+    nominal: NominalDeformation,
+    field: str,
+    folder: Path,
 ) -> Machine:
     """Return a mechanism, read from a file, seen through a model and a deformation by their names in a config.
 
-    ``field`` and ``where`` say where the names stand; names of files start there. InputError for an unknown name, a
+    ``field`` says where the names stand; names of files start at ``folder``. InputError for an unknown name, a
     mechanism that is not one for the model, and somebody else's class that fails.
     """
-    chosen = choose_model(model, f"{field}.model", where)
-    kind: Choice[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", where)  # type: ignore[type-abstract]
-    with name_failures(kind.found, f"{field}.deformation", where):
+    chosen = choose_model(model, f"{field}.model", folder)
+    kind: ClassReference[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", folder)  # type: ignore[type-abstract]
+    with name_failures(kind.found, f"{field}.deformation"):
         seen = kind.found.from_config(kind.options, nominal)
         seen.blocks(mechanism.n_legs)
-    with name_failures(chosen.found, f"{field}.model", where), name_faults(file):
+    with name_failures(chosen.found, f"{field}.model"), name_faults(file):
         return build_chosen_machine(chosen, mechanism, seen)
 
 
-def choose_model(model: str, field: str, where: Path) -> Choice[KinematicModel]:
+def choose_model(model: str, field: str, folder: Path) -> ClassReference[KinematicModel]:
     """Return the kinematic model that a config names, with its options."""
-    return choose("MODELS", model, KinematicModel, field, where)  # type: ignore[type-abstract]
+    return choose("MODELS", model, KinematicModel, field, folder)  # type: ignore[type-abstract]
 
 
-def build_chosen_machine(chosen: Choice[KinematicModel], mechanism: Mechanism, deformation: Deformation) -> Machine:
+def build_chosen_machine(
+    chosen: ClassReference[KinematicModel], mechanism: Mechanism, deformation: Deformation
+) -> Machine:
     """Return a mechanism seen through a model with its options; InputError where it is not one for the model."""
     check_drive(chosen.found, mechanism)
     machine = Machine(mechanism, chosen.found.from_config(chosen.options, mechanism), deformation)
@@ -230,7 +238,7 @@ def read_reading_model(path: Path) -> ReadingModel:
         schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
         config = check_section(schema, {"machine": {}, **content}, path, text)
     with name_faults(path):
-        with name_failures(found, "kind", path):
+        with name_failures(found, "kind"):
             machine = found(config if whole else config.machine)
         return FunctionModel(config.name, machine)
 
@@ -271,7 +279,8 @@ def read_legs(path: Path) -> Legs:
 
     nominal = NominalDeformation(config.kappa, read_nominal)
     names = config.model, config.deformation
-    machine = build_named_machine(mechanism, file, *names, nominal, "machine", path.parent)
+    with name_faults(path):
+        machine = build_named_machine(mechanism, file, *names, nominal, "machine", path.parent)
     with name_faults(file):
         check_home_pose(machine)
     return Legs(machine, np.array(config.tool_mm), config.name, inclined=True)

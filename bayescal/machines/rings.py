@@ -90,7 +90,7 @@ ZOOMS = 4
 TAIL = 1e-14
 NEWTON = 30  # steps, of which five do
 HALF_LOG_TWO_PI = 0.5 * float(np.log(2 * np.pi))
-STEP = 1e-5  # of a coordinate, for derivatives by central differences
+DIFFERENCE_STEP = 1e-5  # of a coordinate, for derivatives by central differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,17 +243,17 @@ class DirectionRing:
     # --- derivatives ---------------------------------------------------------------------------------------------
 
     def _differences(self, y: Array) -> Array:
-        return y + STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        return y + DIFFERENCE_STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
     def slopes(self, y: Array) -> Array:
         """Return d(u1, u2)/d(y1, y2), shape (2, 2), at coordinates (2,)."""
         u = self.components(self._differences(y))
-        return np.stack([u[0] - u[1], u[2] - u[3]], axis=-1) / (2 * STEP)
+        return np.stack([u[0] - u[1], u[2] - u[3]], axis=-1) / (2 * DIFFERENCE_STEP)
 
     def log_prior_ratio_slope(self, y: Array) -> Array:
         """Return the derivative of `log_prior_ratio` by the coordinates, shape (2,), at coordinates (2,)."""
         value = self.log_prior_ratio(self._differences(y))
-        return np.array([value[0] - value[1], value[2] - value[3]]) / (2 * STEP)
+        return np.array([value[0] - value[1], value[2] - value[3]]) / (2 * DIFFERENCE_STEP)
 
 
 def _interpolate_quantiles(grid: Array, density: Array) -> CubicHermiteSpline:

@@ -23,7 +23,7 @@ class PointsConfig(Section):
     height_mm: Number = 0.0
     """Height of the circle above the body's origin."""
     points_mm: list[Vector] | None = None
-    """The points one by one, x, y, z of each leg, in place of a circle."""
+    """The points one by one, x, y, z of each leg, instead of a circle."""
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
@@ -54,7 +54,7 @@ class LegsConfig(Section):
     be of any length and sense; they are normalised. The lengths of legs may follow from the home pose.
     """
 
-    drive: Literal["base", "strut"] = "base"
+    actuated_joint: Literal["base", "strut"] = "base"
     """What the actuators move: the joints at the `base`, or the length of a `strut`."""
     length_mm: PositivePerLeg | None = None
     """Lengths of the legs between their joints; where they are missing they follow from the home pose."""
@@ -69,8 +69,10 @@ class LegsConfig(Section):
 
     @model_validator(mode="after")
     def _check_drive(self) -> Self:
-        if self.drive == "strut" and self.direction is not None:
-            raise ValueError("found direction with drive 'strut', expected none, since a strut acts along itself")
+        if self.actuated_joint == "strut" and self.direction is not None:
+            raise ValueError(
+                "found direction with actuated_joint 'strut', expected none, since a strut acts along itself"
+            )
         return self
 
 
@@ -83,15 +85,15 @@ class HomeConfig(Section):
 
     position_mm: Vector | None = None
     """Where the platform's origin stands at home, the platform level; the legs' lengths follow."""
-    near_mm: Vector | None = None
+    initial_guess_mm: Vector | None = None
     """With lengths given: near which place the home pose is."""
     platform: Literal["above", "below"] | None = None
     """With lengths given: on which side of the legs' lower joints the platform stands."""
 
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
-        if sum(one is not None for one in (self.position_mm, self.near_mm, self.platform)) != 1:
-            raise ValueError("expected either position_mm, or platform or near_mm with the legs' lengths")
+        if sum(one is not None for one in (self.position_mm, self.initial_guess_mm, self.platform)) != 1:
+            raise ValueError("expected either position_mm, or platform or initial_guess_mm with the legs' lengths")
         return self
 
 
@@ -189,7 +191,7 @@ type Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
 class SlidingLegConfig(Section):
     """A leg: where its carriage reads zero, where its guide points, its length, its joint on the platform.
 
-    ``points`` says whether it points along its guide, from the carriage, or against it.
+    ``direction`` says whether it points along its guide, from the carriage, or against it.
     """
 
     guide_point_mm: Point
@@ -200,7 +202,7 @@ class SlidingLegConfig(Section):
     """Length of the leg."""
     platform_point_mm: Point
     """The leg's joint on the platform, platform frame."""
-    points: Literal["along", "against"] = "along"
+    direction: Literal["along", "against"] = "along"
     """Whether the leg points from the carriage along its guide, or against it."""
 
 

@@ -15,7 +15,7 @@ from bayescal.pose_selection.domain import (
     factorial_candidates,
     random_candidates,
 )
-from bayescal.pose_selection.methods import METHODS, Selection, SelectionMethod, select
+from bayescal.pose_selection.methods import METHODS, SelectedPoses, SelectionMethod, select
 from bayescal.pose_selection.observability import compute_observability, identification_rows
 from bayescal.pose_selection.problem import SelectionProblem
 
@@ -28,7 +28,7 @@ __all__ = [
     "Design",
     "PoseDomain",
     "SeenPoses",
-    "Selection",
+    "SelectedPoses",
     "SelectionMethod",
     "SelectionProblem",
     "WorkspaceBox",

@@ -31,7 +31,7 @@ MAX_EVALUATIONS = 60  # where data hardly determine a direction, squares fall ev
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class IdentifiedMachines:
     """Machines of n parameters that were drawn, B' of which can be identified from where the machine is expected."""
 
     # (B', n) each: off the machine as expected, in units of the tolerances
@@ -44,7 +44,7 @@ class Identified:
         return self.estimate - self.truth
 
 
-def simulate_calibrations(seen: SeenPoses, n: int, rng: np.random.Generator, weight: float = 1.0) -> Identified:
+def simulate_calibrations(seen: SeenPoses, n: int, rng: np.random.Generator, weight: float = 1.0) -> IdentifiedMachines:
     """Return calibrations of n machines drawn from the priors; without those that the machine as expected cannot fit.
 
     The identification has a weight on the precision of the priors. InputError where too few draws of these are machines
@@ -56,10 +56,10 @@ def simulate_calibrations(seen: SeenPoses, n: int, rng: np.random.Generator, wei
     noise = rng.standard_normal((n, n_poses, DEGREES_OF_FREEDOM + bool(seen.n_redundant) * n_legs))
     estimate = np.stack([_LeastSquares(seen, *at, own, weight).solve() for at, own in zip(stand, noise, strict=True)])
     good = np.isfinite(estimate).all(axis=1)
-    return Identified(truth[good], estimate[good])
+    return IdentifiedMachines(truth[good], estimate[good])
 
 
-def compute_workspace_errors(design: Design, found: Identified, actuators: Array) -> Array:
+def compute_workspace_errors(design: Design, found: IdentifiedMachines, actuators: Array) -> Array:
     """Return true less predicted poses at actuator positions (W, N), shape (B', W, 6), mm and rad.
 
     They are those that the machines take; NaN where one of both has none.
@@ -123,7 +123,7 @@ class _LeastSquares:
         here = design.differentiate(theta, np.where(found[:, None], pose, 0.0), seen.slopes.noise)
         if not (found.all() and len(here.places) == len(pose) and design.machine.layout.inside(theta)):
             return np.full(self.noise.size + n, np.nan), np.zeros((self.noise.size + n, n))
-        view = here.seen_by(np.ones(self.commands.shape[1], dtype=bool))
+        view = here.select_channels(np.ones(self.commands.shape[1], dtype=bool))
         error = compute_pose_error(pose[:, :3], matrix_from_rotation_vector(pose[:, 3:]), *self.stands)
         slope = view.tool.copy()
         slope[:, 3:] = compute_left_inverse_jacobian(error[:, 3:]) @ slope[:, 3:]

@@ -22,7 +22,7 @@ from bayescal.density.priors import Prior
 from bayescal.errors import InputError
 from bayescal.identifiability.information import root_of
 from bayescal.identifiability.pose_volume import describe_move
-from bayescal.identifiability.reading_rows import Slopes, View, differentiate
+from bayescal.identifiability.reading_rows import Jacobians, LinearisedPoses, differentiate
 from bayescal.machines.kinematics import SINGULAR_CONDITION, Machine
 from bayescal.machines.readings import Legs, ReadingModel
 from bayescal.machines.sensors import Sensor
@@ -128,7 +128,7 @@ class Design:
         gain = np.linalg.solve(slope, slope * np.eye(n_legs))
         return np.asarray(noise + self.model_error**2 * gain @ np.swapaxes(gain, -1, -2))
 
-    def differentiate(self, theta: Array, pose: Array, noise: Array) -> Slopes:
+    def differentiate(self, theta: Array, pose: Array, noise: Array) -> Jacobians:
         """Return what moves a machine (D,) at poses (P, 6) whose actuators err by covariances (N, N) or (P, N, N)."""
         return differentiate(self.readings, theta, self.moves, noise, self.readings.pose_scale, pose, {})
 
@@ -157,12 +157,12 @@ class SeenPoses:
 
     design: Design
     placed: PlacedPoses
-    slopes: Slopes  # of its actuators' readings and of the platform's pose, parameters in units of the tolerances
+    slopes: Jacobians  # of its actuators' readings and of the platform's pose, parameters in units of the tolerances
 
     @cached_property
-    def located(self) -> View:
+    def located(self) -> LinearisedPoses:
         """The poses as the actuators locate them, parameters in units of the tolerances."""
-        return self.slopes.seen_by(np.ones(self.placed.actuators.shape[1], dtype=bool))
+        return self.slopes.select_channels(np.ones(self.placed.actuators.shape[1], dtype=bool))
 
     @cached_property
     def slope(self) -> Array:

@@ -25,14 +25,14 @@ GAIN = 1e-12
 """Of the criterion's size: less is rounding, no improvement."""
 CHUNK = 100  # random sets judged at once
 WITHIN = 1e-9  # in shares of a limit: a pose no further out is within it
-STEP = 0.01
+BOX_STEP = 0.01
 """Of differences, in shares of the box's half width."""
 NODES = np.array([-2.0, -1.0, 1.0, 2.0])
 WEIGHTS = np.array([1.0, -8.0, 8.0, -1.0]) / 12.0
 
 
 @dataclass(frozen=True, eq=False)
-class Selection:
+class SelectedPoses:
     """Poses to measure."""
 
     method: str
@@ -40,7 +40,7 @@ class Selection:
     index: np.ndarray | None  # (n,), int: which candidates; None where poses lie between them
     shares: Array  # (n, d): coordinates in the domain's unit box
     placed: PlacedPoses  # displacements from home and actuator positions
-    value: float  # the criterion, found anew from the poses' rows; larger is better
+    value: float  # the criterion, computed again from the poses' rows; larger is better
     trace: Array  # (T,): the criterion after each iteration, that of the start first
     n_evaluations: int  # how many sets were judged
     converged: bool  # whether the method ended by itself
@@ -70,7 +70,7 @@ class SelectionMethod(ABC):
         return cls(**dict(config))
 
     @abstractmethod
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the poses that the method selects."""
 
     def _from_candidates(
@@ -81,10 +81,10 @@ class SelectionMethod(ABC):
         n_evaluations: int,
         reason: str,
         converged: bool = True,
-    ) -> Selection:
+    ) -> SelectedPoses:
         index = np.sort(index)
         candidates = problem.candidates
-        return Selection(
+        return SelectedPoses(
             self.name,
             problem.criterion.name,
             index,
@@ -108,7 +108,7 @@ class RandomSets(SelectionMethod):
     title: ClassVar[str] = "Best of random sets"
     source: ClassVar[str] = "Random sampling"
 
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the best of the sets."""
         if self.n_sets < 1:
             raise InputError(f"random: found {self.n_sets} sets, expected at least 1")
@@ -129,7 +129,7 @@ class RandomSets(SelectionMethod):
 class Exchanging(SelectionMethod):
     """A method that goes from set to set of candidates by exchanging members."""
 
-    # candidates to start from in place of random ones that determine the parameters
+    # candidates to start from instead of random ones that determine the parameters
     start: tuple[int, ...] | None = field(default=None, kw_only=True)
 
     def _begin(self, problem: SelectionProblem, rng: np.random.Generator) -> tuple[Scorer, float, np.ndarray]:
@@ -170,7 +170,7 @@ class Detmax(Exchanging):
     title: ClassVar[str] = "DETMAX"
     source: ClassVar[str] = "Mitchell 1974"
 
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the set where the exchange ends."""
         scorer, value, outside = self._begin(problem, rng)
         trace = [value]
@@ -204,13 +204,13 @@ class TabuDetmax(Exchanging):
     # whether the pose just added must stay, so that the set may become worse and leave a local optimum. As
     # printed it may be dropped at once: then no set is worse than the one before, and the list only sees to it
     # that other poses are tried
-    leave: bool = False
+    forbid_immediate_removal: bool = False
 
     name: ClassVar[str] = "tabu"
     title: ClassVar[str] = "Improved DETMAX with a tabu list"
     source: ClassVar[str] = "Mitchell 1974, with a tabu list after Glover 1989"
 
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the best set seen."""
         distinct = problem.candidates.distinct
         if self.list_length < 0 or problem.n + self.list_length >= distinct.sum():
@@ -227,7 +227,7 @@ class TabuDetmax(Exchanging):
             scorer.add(added)
             outside[added] = False
             dropped, value = scorer.best_dropped()
-            if self.leave and dropped == added:
+            if self.forbid_immediate_removal and dropped == added:
                 values = scorer.values_dropped()
                 values[scorer.members.index(added)] = -np.inf
                 place = int(np.argmax(values))
@@ -256,7 +256,7 @@ class Exchange(Exchanging):
     title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
     source: ClassVar[str] = "Fedorov 1972; Daney, Papegay and Madeline 2005"
 
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the set where the exchange ends."""
         scorer, value, outside = self._begin(problem, rng)
         trace = [value]
@@ -321,7 +321,7 @@ class PoseObjective:
         blocks, moved = every[:n], every[n:].reshape(n, d, len(NODES), *every.shape[1:])
         stacked = np.concatenate([problem.base, blocks.reshape(-1, problem.n_parameters)])
         by_information = problem.criterion.gradient(stacked, problem.n_measured + n)
-        slopes = np.einsum("m,ndmkl->ndkl", WEIGHTS, moved) / STEP
+        slopes = np.einsum("m,ndmkl->ndkl", WEIGHTS, moved) / BOX_STEP
         return problem.value_of(blocks), 2.0 * np.einsum("nkl,ndkl->nd", blocks @ by_information, slopes)
 
     def margins(self, shares: Array) -> Array:
@@ -332,7 +332,7 @@ class PoseObjective:
         """Return the derivatives of `margins` by all coordinates, shape (n * m, n * d)."""
         n, d = shares.shape
         moved = self.domain.margins(self._place(self._moved(shares))).reshape(n, d, len(NODES), -1)
-        own = np.einsum("v,ndvm->nmd", WEIGHTS, moved) / STEP
+        own = np.einsum("v,ndvm->nmd", WEIGHTS, moved) / BOX_STEP
         result = np.zeros((n, own.shape[1], n, d))
         result[np.arange(n), :, np.arange(n)] = own
         return result.reshape(n * own.shape[1], n * d)
@@ -340,7 +340,7 @@ class PoseObjective:
     @staticmethod
     def _moved(shares: Array) -> Array:
         d = shares.shape[1]
-        steps = STEP * NODES[:, None] * np.eye(d)[:, None]  # (d, nodes, d)
+        steps = BOX_STEP * NODES[:, None] * np.eye(d)[:, None]  # (d, nodes, d)
         return (shares[:, None, None] + steps).reshape(-1, d)
 
     def _place(self, shares: Array) -> PlacedPoses:
@@ -371,7 +371,7 @@ class Continuous(SelectionMethod):
     title: ClassVar[str] = "All poses at once, continuous"
     source: ClassVar[str] = "Local optimisation with exact gradients"
 
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> Selection:
+    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the local optimum; the start where the optimiser found nothing better within the constraints."""
         start = self.start.select(problem, rng)
         objective = PoseObjective(problem)
@@ -384,7 +384,7 @@ class Continuous(SelectionMethod):
         value = objective.value(shares) if kept else -np.inf
         if value <= start.value:
             shares, placed, value = start.shares, start.placed, start.value
-        return Selection(
+        return SelectedPoses(
             self.name,
             problem.criterion.name,
             None,
@@ -398,7 +398,7 @@ class Continuous(SelectionMethod):
         )
 
     def _minimise(
-        self, objective: PoseObjective, domain: PoseDomain, start: Selection, trace: list[float]
+        self, objective: PoseObjective, domain: PoseDomain, start: SelectedPoses, trace: list[float]
     ) -> OptimizeResult:
         shape, scale = start.shares.shape, abs(start.value)
 
@@ -440,7 +440,7 @@ METHODS: dict[str, type[SelectionMethod]] = {
 }
 
 
-def select(problem: SelectionProblem, method: str | SelectionMethod, rng: np.random.Generator) -> Selection:
+def select(problem: SelectionProblem, method: str | SelectionMethod, rng: np.random.Generator) -> SelectedPoses:
     """Return the poses that a method selects.
 
     Parameters

@@ -22,7 +22,7 @@ from bayescal.numerics.geometry import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class NextPoseStep:
     """A pose to measure, and what will be known then."""
 
     candidate: int
@@ -30,7 +30,7 @@ class Step:
     mean_square: float  # tr(W C), the weighted error that is left
 
 
-def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarray) -> Iterator[Step]:
+def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarray) -> Iterator[NextPoseStep]:
     """Yield the candidate that lowers tr(W C) most, then the best one after it, and so on; none twice.
 
     W (m, m) is what an error of the parameters costs, C (m, m) what is known so far; rows (c, k, m) are of the
@@ -42,7 +42,7 @@ def look_ahead(weight: Array, covariance: Array, rows: Array, allowed: np.ndarra
         chosen = int(np.where(left, gains, -np.inf).argmax())
         left[chosen] = False
         covariance = learn(covariance, rows[chosen])
-        yield Step(chosen, covariance, float(np.trace(weight @ covariance)))
+        yield NextPoseStep(chosen, covariance, float(np.trace(weight @ covariance)))
 
 
 def compute_gains(rows: Array, covariance: Array, weight: Array) -> Array:

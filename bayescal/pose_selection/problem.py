@@ -86,7 +86,7 @@ class SelectionProblem:
         return self.criterion.scorer(self.blocks, self.base, self.n_measured)
 
     def value_of(self, blocks: Array) -> float:
-        """Return the criterion of a set with the rows (n, k, L), found anew."""
+        """Return the criterion of a set with the rows (n, k, L), computed again."""
         rows = np.concatenate([self.base, blocks.reshape(-1, self.n_parameters)])
         return float(self.criterion.value(rows, self.n_measured + len(blocks)))
 

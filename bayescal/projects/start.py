@@ -15,8 +15,8 @@ from scipy.stats import qmc
 from bayescal.config.load import look_up
 from bayescal.config.trust import list_code, remember, vouch
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import compute_experiment
 from bayescal.files.atomic import make_directory, write_atomically
 from bayescal.files.csv_tables import format_table
 
@@ -42,7 +42,7 @@ ON_RAILS = MEANINGS | {"a_z": "the same; along the rail: the carriage's zero"}
 
 
 @dataclass(frozen=True)
-class Kind:
+class ExampleHexapod:
     """A made-up machine on six legs: dimensions in mm and degrees as TOML has them, tolerances by symbol.
 
     All that its model has is free, but for what no measurement could tell from the rest, of which ``left_out`` speaks.
@@ -62,13 +62,13 @@ class Kind:
     platform_azimuth: tuple[float, ...] = (310.0, 50.0, 70.0, 170.0, 190.0, 290.0)
 
 
-MACHINES: dict[str, Kind | None] = {
-    "hexapod": Kind(
+MACHINES: dict[str, ExampleHexapod | None] = {
+    "hexapod": ExampleHexapod(
         *("A made-up hexapod", "six_ups", 300.0, 180.0, [0.0, 0.0, 380.0], 450.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5},
         left_out="an actuator's zero is no parameter of its own: it changes what l changes",
     ),
-    "carriages": Kind(
+    "carriages": ExampleHexapod(
         *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 400.0], 0.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
         left_out="rho0 stays as drawn: it moves a joint along its rail as a does; no measurement distinguishes them",
@@ -76,7 +76,7 @@ MACHINES: dict[str, Kind | None] = {
     ),
     OWN: None,
 }
-"""Machines to begin with; none of the first ones is one function, a class of one's own."""
+"""Machines to begin with; none of the first ones is one function, a user-defined class."""
 
 
 def start_project(folder: Path, machine: str, instrument: str | None) -> list[Path]:
@@ -85,11 +85,11 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     The machine is one of `MACHINES`, the instrument one of `INSTRUMENTS`, None for a machine of one function, which
     brings its sensors. InputError for another one, and for a folder that holds something; nothing is written then.
     """
-    kind = look_up(MACHINES, machine, "--machine", Path("init"))
+    kind = look_up(MACHINES, machine, "--machine")
     if kind is None and instrument is not None:
         raise InputError(f"init: --instrument: found {instrument!r} with machine {machine!r}, which brings its sensors")
     if kind is not None:
-        look_up(INSTRUMENTS, instrument or "none", "--instrument", Path("init"))
+        look_up(INSTRUMENTS, instrument or "none", "--instrument")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: found something there, expected a new or an empty folder")
     partial = folder.absolute().with_name(f"{folder.absolute().name}.partial")
@@ -110,7 +110,7 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def _write_files(folder: Path, kind: Kind | None, machine: str, instrument: str | None) -> None:
+def _write_files(folder: Path, kind: ExampleHexapod | None, machine: str, instrument: str | None) -> None:
     source = TEMPLATES / (OWN if kind is None else "legs")
     files = {path.name: path for path in sorted(source.iterdir()) if path.is_file()}
     if kind is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,18 +18,44 @@ type Level = Literal["plain", "good", "warning", "bad"]
 
 FIGURE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
-MOST_FINDINGS = 5
+MAX_SENTENCES_FIRST = 8
+"""Sentences above the first figure of a page; the rest is folded."""
+MIN_FINDINGS_FIRST = 2
+MAX_FAILURES_FIRST = 3
 URGENCY = {"bad": 0, "warning": 1}
+SENTENCE_END = re.compile(r"[.!?][)”’]?(?=\s+[A-Z“]|\s*$)")
 
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence computed from the numbers, how good the news is, and the word it is found by."""
+    """A sentence computed from the numbers, how good the news is, and the word it is found by.
+
+    As a finding it may state the figure that it rests on, the limit of that, their unit, and what to do.
+    """
 
     block: ClassVar = "statement"
     text: str
     level: Level = "plain"
     lead: str = ""
+    value: float = math.nan
+    limit: float = math.nan
+    unit: str = ""
+    action: str = ""
+
+    @property
+    def said(self) -> str:
+        """The text, and what to do."""
+        return f"{self.text} {self.action}".rstrip()
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A figure that the page begins with: its colour follows how good it is."""
+
+    label: str
+    value: str
+    unit: str = ""
+    status: Level = "plain"
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
@@ -214,7 +241,7 @@ type Block = (
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class PageSection:
     """A part of a page with its heading; ``anchor`` is what links lead to, ``short`` what stands in the navigation."""
 
     title: str
@@ -230,10 +257,10 @@ def make_section(
     figures: Sequence[Figure] = (),
     notes: Sequence[Statement] = (),
     wide: bool = False,
-) -> Section:
-    """Return a section of paragraphs, then tables, figures and notes; ``wide`` sets the tables smaller."""
+) -> PageSection:
+    """Return a section of paragraphs, then figures, tables and notes; ``wide`` sets the tables smaller."""
     shown = [replace(table, style="wide") for table in tables] if wide else tables
-    return Section(title, (*text, *shown, *figures, *notes))
+    return PageSection(title, (*text, *figures, *shown, *notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,15 +272,15 @@ class Page:
     name: str
     title: str
     origin: str  # where its data come from: simulated, reconstructed, measured
-    headline: str  # the result in one sentence
+    headline: str  # what to use, how accurate it is, what to do next: at most three sentences
     # what was found, each with a level; where one is bad the verdict is marked as failed
     verdict: tuple[Statement, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[PageSection, ...]
     facts: tuple[tuple[str, str], ...] = ()  # below the heading, such as machine and plan
     failures: tuple[Statement, ...] = ()  # what forbids to rely on the numbers; before the headline
-    failures_title: str = ""
-    doubtful: bool = False  # whether the verdict is marked as one to be read with care
+    unreliable: bool = False  # whether the verdict is marked as one to be read with care
     symbols: tuple[str, ...] = ()  # parameters' symbols that running text sets as the field writes them
+    key_figures: tuple[KeyFigure, ...] = ()  # four to six, in the first row of the page
 
     def __post_init__(self) -> None:
         """Check that no two figures would share a file."""
@@ -266,24 +293,20 @@ class Page:
         """Return the page with more that forbids to rely on the numbers."""
         if not failures:
             return self
-        title = self.failures_title or "Do not rely on these results yet. What speaks against them:"
-        return replace(self, failures=(*self.failures, *failures), failures_title=title)
+        return replace(self, failures=(*self.failures, *failures))
 
     @property
-    def failed(self) -> bool:
-        """Whether there is bad news."""
-        return bool(self.failures) or any(statement.level == "bad" for statement in self.verdict)
+    def level(self) -> Level:
+        """How good the news is: the worst of what was found; plain where nothing is good or bad."""
+        levels = {one.level for one in self.verdict} | ({"warning"} if self.unreliable else set())
+        if self.failures or "bad" in levels:
+            return "bad"
+        return "warning" if "warning" in levels else "good" if "good" in levels else "plain"
 
     def figures(self) -> Iterator[Figure]:
         """Yield the figures of all sections, folded ones too."""
         blocks = (block for section in self.sections for block in unfold(section.blocks))
         return (block for block in blocks if isinstance(block, Figure))
-
-    def shown_figures(self) -> set[str]:
-        """Return the names of the figures that no fold hides at first sight."""
-        blocks = [block for section in self.sections for block in section.blocks]
-        opened = [inner for block in blocks if isinstance(block, Fold) and block.is_open for inner in block.blocks]
-        return {block.name for block in (*blocks, *opened) if isinstance(block, Figure)}
 
 
 def unfold(blocks: Sequence[Block]) -> Iterator[Block]:
@@ -294,14 +317,27 @@ def unfold(blocks: Sequence[Block]) -> Iterator[Block]:
             yield from unfold(block.blocks)
 
 
-def choose_first(findings: Sequence[Statement]) -> tuple[list[Statement], list[Statement]]:
-    """Return what stands in the verdict at first sight and what is folded, both in their order.
+def count_sentences(text: str) -> int:
+    """Return how many sentences a text has; one without a full stop counts as one."""
+    return max(len(SENTENCE_END.findall(text.strip())), 1 if text.strip() else 0)
 
-    At most five are seen: bad news before warnings, warnings before the rest, else what comes first.
+
+def choose_first(page: Page) -> tuple[list[Statement], list[Statement]]:
+    """Return the findings of a page that are seen at first sight and those that are folded, both in their order.
+
+    With headline and failures they come to `MAX_SENTENCES_FIRST` sentences: bad news before warnings, warnings before
+    the rest, else what comes first.
     """
-    ranked = sorted(range(len(findings)), key=lambda k: (URGENCY.get(findings[k].level, 2), k))
-    first = set(ranked[:MOST_FINDINGS])
-    return [findings[k] for k in sorted(first)], [findings[k] for k in sorted(set(ranked) - first)]
+    findings = page.verdict
+    room = MAX_SENTENCES_FIRST - count_sentences(page.headline)
+    room = max(room - min(len(page.failures), MAX_FAILURES_FIRST), MIN_FINDINGS_FIRST)
+    first = set[int]()
+    for k in sorted(range(len(findings)), key=lambda k: (URGENCY.get(findings[k].level, 2), k)):
+        room -= count_sentences(findings[k].text) + bool(findings[k].action)
+        if room < 0:
+            break
+        first.add(k)
+    return [findings[k] for k in sorted(first)], [one for k, one in enumerate(findings) if k not in first]
 
 
 def count_folded(folded: Sequence[Statement]) -> str:

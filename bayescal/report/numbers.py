@@ -8,10 +8,12 @@ from collections.abc import Sequence
 MICROMETRES = 1e3  # in a millimetre
 PER_MILLE = 1e3  # dimensionless parameters are shown in 1e-3
 
-NOTHING = "–"
+NO_VALUE = "–"
 MINUS = "−"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
+MAX_LISTED_NAMES = 3
+"""Names in a sentence; more are counted."""
 MOST_DECIMALS = 12
 """What is smaller is shown as zero: rounding of a cosine, say."""
 
@@ -19,7 +21,7 @@ MOST_DECIMALS = 12
 def format_fixed(value: float | None, decimals: int, sign: bool = False) -> str:
     """Return a number with fixed decimals and a true minus sign; a dash where there is none."""
     if value is None or math.isnan(value):
-        return NOTHING
+        return NO_VALUE
     if math.isinf(value):
         return f"{MINUS if value < 0 else ''}∞"
     text = f"{value:{'+' if sign else ''}.{decimals}f}"
@@ -57,7 +59,7 @@ def format_pair(first: float | None, second: float | None, digits: int = 3) -> s
 
 def format_percent(fraction: float | None, decimals: int = 0) -> str:
     """Return a fraction as per cent."""
-    return NOTHING if fraction is None or math.isnan(fraction) else f"{format_fixed(100 * fraction, decimals)} %"
+    return NO_VALUE if fraction is None or math.isnan(fraction) else f"{format_fixed(100 * fraction, decimals)} %"
 
 
 def format_odds(nats: float) -> str:
@@ -74,9 +76,20 @@ def format_span(values: list[float], decimals: int = 1) -> str:
     return " to ".join(dict.fromkeys(format_fixed(x, decimals) for x in (min(values), max(values))))
 
 
+def capitalise(text: str) -> str:
+    """Return text that begins with a capital letter; names within it stay as they are."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def join_words(words: Sequence[str], between: str = "and") -> str:
     """Return ``a, b and c``."""
     return f" {between} ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def name_some(names: Sequence[str], between: str = "and") -> str:
+    """Return names as words, of many the first ones and how many more there are."""
+    more = [f"{len(names) - MAX_LISTED_NAMES} more"] if len(names) > MAX_LISTED_NAMES else []
+    return join_words([*names[:MAX_LISTED_NAMES], *more], "and" if more else between)
 
 
 def format_plain(value: float, digits: int = 6, separator: str = "") -> str:

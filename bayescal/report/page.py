@@ -17,11 +17,12 @@ from markupsafe import Markup, escape
 from bayescal.errors import InputError
 from bayescal.files.atomic import write_atomically
 from bayescal.report.blocks import (
+    MAX_FAILURES_FIRST,
     Column,
     Fold,
     Page,
+    PageSection,
     Preformatted,
-    Section,
     Side,
     Statement,
     Table,
@@ -31,7 +32,7 @@ from bayescal.report.blocks import (
     unfold,
 )
 from bayescal.report.glossary import find_terms
-from bayescal.report.numbers import NOTHING
+from bayescal.report.numbers import NO_VALUE
 from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.scene import Scene
 from bayescal.report.symbols import split_symbol
@@ -70,7 +71,7 @@ def draw_in_turn(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Pictur
 def write_page(
     page: Page,
     folder: Path,
-    more: Sequence[Section] = (),
+    more: Sequence[PageSection] = (),
     earlier: Iterable[str] = (),
     render: Render = draw_in_turn,
 ) -> Path:
@@ -94,14 +95,8 @@ def write_page(
     Path
         The page; it holds its figures and its style and refers to no other file.
     """
-    shown = page.shown_figures()  # the others are not worth being drawn twice, and scroll on a narrow screen
-    pictures = render(
-        {
-            figure.name: partial(render_picture, figure.draw, figure.name in shown)
-            for figure in page.figures()
-            if figure.draw is not None
-        }
-    )
+    drawn = {one.name: one.draw for one in page.figures() if one.draw is not None}
+    pictures = render({name: partial(render_picture, draw) for name, draw in drawn.items()})
     failed = tuple(Statement(one.failure, "bad") for one in pictures.values() if one.failure)
     text = render_page(page.add_failures(failed), pictures, more)
     figures = folder / FIGURES
@@ -119,7 +114,7 @@ def write_page(
     return folder / PAGE
 
 
-def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Section] = ()) -> str:
+def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[PageSection] = ()) -> str:
     """Return a page as HTML with these figures by name; all text is escaped, and nothing but its own script runs."""
     here = Path(__file__).parent
     environment = Environment(
@@ -127,6 +122,7 @@ def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Sect
     )
     environment.filters |= {"symbol": set_symbol, "bind": bind_units, "prose": make_prose(page.symbols)}
     environment.globals |= {"first_findings": choose_first, "find_terms": find_terms}
+    environment.globals["max_failures"] = MAX_FAILURES_FIRST
     style = Markup((here / "page.css").read_text(encoding="utf-8"))
     blocks = [block for section in (*page.sections, *more) for block in section.blocks]
     scripts = ("page.js", "scene.js") if any(isinstance(one, Scene) for one in unfold(blocks)) else ("page.js",)
@@ -185,9 +181,9 @@ def set_symbol(symbol: str) -> Markup:
     return Markup("{}{}{}").format(text, lower, upper)
 
 
-def show_provenance(provenance: Mapping[str, Any]) -> Section:
+def show_provenance(provenance: Mapping[str, Any]) -> PageSection:
     """Return the section that says what run, of which config and files, with which versions, made the results."""
-    rows = [[title, str(provenance.get(key, NOTHING))] for key, title in RUN.items()]
+    rows = [[title, str(provenance.get(key, NO_VALUE))] for key, title in RUN.items()]
     mappings = (
         _tabulate(provenance.get("versions"), "Versions.", "Package", "Version"),
         _tabulate(provenance.get("files"), "Input files.", "File", "SHA-256"),
@@ -195,7 +191,7 @@ def show_provenance(provenance: Mapping[str, Any]) -> Section:
     )
     side = Side(tuple(table for table in mappings if table.rows))
     config = Preformatted(format_config(provenance.get("config", {})))
-    return Section("Provenance", (make_pairs("Run.", rows), side, Fold("Config", (config,))), anchor="provenance")
+    return PageSection("Provenance", (make_pairs("Run.", rows), side, Fold("Config", (config,))), anchor="provenance")
 
 
 def _tabulate(content: object, caption: str, key: str, value: str) -> Table:

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
 from markupsafe import Markup, escape
 
 from bayescal.report.figure_text import TIP, describe_figure, mark_points
-from bayescal.report.stacked import measure_panels, needs_stacking, stack_panels
 from bayescal.report.style import RC
 from bayescal.report.symbols import LONGEST_NAME, LONGEST_TEXT, make_label
 
@@ -25,8 +23,6 @@ if TYPE_CHECKING:
 DPI, FINE_DPI = 120, 192
 POINTS = 72.0  # an inch
 FINER = 2.2  # how much larger a PNG of twice the resolution is at most
-MOST_STACKED = 60_000  # bytes of a stacked figure as SVG
-COLOURS = 64
 HASHED = re.compile(r'( id="|href="#|url\(#)([a-z]+[0-9a-f]{10})(?=["\)])')  # ids of clips and marks in an SVG
 LEAST_SCALE = 0.8  # of a figure on a small screen, which scrolls; letters of 6.5 points are read then
 
@@ -37,23 +33,18 @@ class Picture:
 
     png: bytes  # the figure as a file
     markup: str = ""  # as it stands in a page, escaped; without its name, see `place`
-    stacked: str = ""  # as it stands there on a narrow screen; empty where that is the same
     failure: str = ""  # why there is none, where it could not be drawn
 
     def place(self, name: str) -> Markup:
         """Return the markup with the ids of its parts made the figure's own."""
         if self.failure:
             return escape(self.failure)
-        forms = [(name, self.markup), (f"{name}-stacked", self.stacked)]
         ids = r'(\bid="|href="#|url\(#)'  # before them a name, which is letters, digits, _ and -
-        return Markup("\n").join(Markup(re.sub(ids, rf"\g<1>{own}-", text)) for own, text in forms if text)
+        return Markup(re.sub(ids, rf"\g<1>{name}-", self.markup))
 
 
-def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
-    """Return a figure as PNG and as it stands in a page, wide and, if wanted, stacked for a narrow screen.
-
-    The same figure gives the same bytes.
-    """
+def render_picture(draw: Callable[[], Figure]) -> Picture:
+    """Return a figure as PNG and as it stands in a page; the same figure gives the same bytes."""
     from matplotlib import rc_context, rcdefaults, rcParams  # a second to import, for those who draw
 
     from bayescal.report.canvas import Canvas
@@ -72,13 +63,7 @@ def render_picture(draw: Callable[[], Figure], stacked: bool = True) -> Picture:
         figure.set_dpi(DPI)
         _lay_out(figure)
         png = _save(figure, "png", DPI)
-        if not (stacked and needs_stacking(figure)):
-            return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
-        wide = _make_markup(figure, FINER * len(png) * 4 / 3, "wide")
-        stack_panels(figure, *measure_panels(figure))
-        _lay_out(figure)
-        most = 0 if len(wide) > MOST_STACKED else MOST_STACKED  # the same marks: not drawn only to be thrown away
-        return Picture(png, wide, _make_markup(figure, most, "narrow"))
+        return Picture(png, _make_markup(figure, FINER * len(png) * 4 / 3))
 
 
 def _shorten(figure: Figure) -> None:
@@ -100,19 +85,15 @@ def _write_tick(write: Callable[[float, int | None], str], value: float, place: 
     return make_label(str(write(value, place)), LONGEST_NAME)
 
 
-def _make_markup(figure: Figure, most: float, shape: str = "") -> str:
-    """Return a laid-out figure as SVG, or beyond ``most`` bytes as a fine PNG if smaller; ``shape`` is its class.
-
-    With none of them as a PNG at once.
-    """
+def _make_markup(figure: Figure, most: float) -> str:
+    """Return a laid-out figure as SVG, or beyond ``most`` bytes as a fine PNG if smaller."""
     width, height = figure.get_size_inches() * DPI
     alt, tips = describe_figure(figure), mark_points(figure)
-    drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips) if most else ""
-    least = f' style="min-width:{LEAST_SCALE * width:.0f}px"' if shape != "narrow" else ""
-    size = f'{f'class="{shape}" ' if shape else ""}width="{width:.0f}" height="{height:.0f}"{least}'
-    if not drawn or len(drawn) > most:
-        fine = _save_fine(figure, shape)
-        if not drawn or len(fine) * 4 / 3 < len(drawn):
+    drawn = tidy_svg(_save(figure, "svg", POINTS).decode(), tips)
+    size = f'width="{width:.0f}" height="{height:.0f}" style="min-width:{LEAST_SCALE * width:.0f}px"'
+    if len(drawn) > most:
+        fine = _save(figure, "png", FINE_DPI)
+        if len(fine) * 4 / 3 < len(drawn):
             source = base64.b64encode(fine).decode("ascii")
             return Markup(f'<img {size} src="data:image/png;base64,{source}" alt="{escape(alt)}">')
     box = f"0 0 {width * POINTS / DPI:g} {height * POINTS / DPI:g}"
@@ -131,22 +112,6 @@ def _save(figure: Figure, kind: str, dpi: float) -> bytes:
     buffer = io.BytesIO()
     nothing = {"Software": None} if kind == "png" else dict.fromkeys(("Date", "Creator", "Format", "Type"))
     figure.savefig(buffer, format=kind, dpi=dpi, metadata=nothing)
-    return buffer.getvalue()
-
-
-def _save_fine(figure: Figure, shape: str) -> bytes:
-    """Return a figure as a fine PNG; stacked with as many colours as a chart has, a third of the bytes."""
-    if shape != "narrow":
-        return _save(figure, "png", FINE_DPI)
-    from PIL import Image  # matplotlib writes its own with it
-
-    buffer, dpi = io.BytesIO(), figure.dpi
-    figure.set_dpi(FINE_DPI)
-    figure.canvas.draw()
-    rgba = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # of `Canvas`
-    drawn = Image.fromarray(rgba).convert("RGB")
-    figure.set_dpi(dpi)
-    drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(buffer, "png")
     return buffer.getvalue()
 
 

@@ -15,7 +15,7 @@ NAMES = {"1": "", "noise": "× noise"}
 """Units of results that are written otherwise."""
 KERNEL_SCALE = "sigma_g"
 KERNEL_LENGTH = "L_g"
-OF_FUNCTIONS = (KERNEL_SCALE, KERNEL_LENGTH, "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
+OF_FUNCTIONS = (KERNEL_SCALE, KERNEL_LENGTH, "sigma_linear", "sigma_positioning", "sigma_smooth", "sigma_drift")
 GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
     **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ", "sigma": "σ"},
@@ -38,7 +38,7 @@ PLACES = {"mm": 0, "um": 0, "arcsec": 0, "deg": 1, "mrad": 1}
 LONGEST_NAME, LONGEST_TEXT = 48, 160
 """Letters of a name beside others in a figure, at a tick or in a legend, and of any other text of it."""
 
-type Asked = Mapping[str, str] | None
+type ChosenUnits = Mapping[str, str] | None
 """The units of a config, ``length`` and ``angle``; None for mm and degrees."""
 
 USUAL = {"length": "mm", "angle": "deg"}
@@ -112,7 +112,7 @@ def name_parameter(name: str, member: str = "leg") -> str:
     return f"{written} of {member} {leg}" if leg else written
 
 
-def scale_of(symbol: str, unit: str, asked: Asked = None) -> tuple[float, str]:
+def scale_of(symbol: str, unit: str, asked: ChosenUnits = None) -> tuple[float, str]:
     """Return the factor and the unit in which a parameter's offsets are shown, with the units of a config."""
     if is_model_error(symbol) and symbol != KERNEL_LENGTH:
         return (1.0, write_unit(unit)) if unit == "noise" else (MICROMETRES, "µm")
@@ -132,7 +132,7 @@ def describe_deformation(deformation: str) -> str:
     return "without deformation" if deformation == "none" else f"with the {deformation} deformation"
 
 
-def shown_in(unit: str, asked: Asked = None) -> tuple[float, str]:
+def shown_in(unit: str, asked: ChosenUnits = None) -> tuple[float, str]:
     """Return factor and name of the unit that values of an inner unit are shown in."""
     if unit in INNER:
         return SHOWN[(asked or USUAL)[INNER[unit]]]
@@ -144,13 +144,13 @@ def write_unit(unit: str) -> str:
     return NAMES.get(unit, unit)
 
 
-def format_amount(value: float, unit: str, digits: int = 2, asked: Asked = None) -> str:
+def format_amount(value: float, unit: str, digits: int = 2, asked: ChosenUnits = None) -> str:
     """Return a value of an inner unit with the unit it is shown in."""
     factor, name = shown_in(unit, asked)
     return f"{format_significant(factor * value, digits)} {name}".rstrip().replace(" °", "°")
 
 
-def format_place(column: str, value: float, asked: Asked = None) -> str:
+def format_place(column: str, value: float, asked: ChosenUnits = None) -> str:
     """Return a coordinate of a column such as ``x_mm`` in the unit that places are shown in."""
     unit = column.rpartition("_")[2]
     if unit not in INNER:
@@ -158,7 +158,7 @@ def format_place(column: str, value: float, asked: Asked = None) -> str:
     return format_fixed(shown_in(unit, asked)[0] * value, PLACES.get((asked or USUAL)[INNER[unit]], 3))
 
 
-def name_unit(column: str, asked: Asked = None) -> str:
+def name_unit(column: str, asked: ChosenUnits = None) -> str:
     """Return the unit of a column such as ``x_mm`` as places are shown."""
     unit = column.rpartition("_")[2]
     return shown_in(unit, asked)[1] if unit in INNER else unit

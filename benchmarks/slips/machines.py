@@ -9,10 +9,10 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from bayescal.experiments.check.inputs import Subject, read_check
-from bayescal.experiments.check.kind import configure_check
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import compute_experiment
+from bayescal.experiments.selftest.inputs import TestedVariant, read_selftest
+from bayescal.experiments.selftest.kind import configure_selftest
 from bayescal.projects.start import start_project
 
 HERE = Path(__file__).parent
@@ -22,7 +22,7 @@ title = "{name}"
 seed = 1
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "one machine drawn within its tolerances, never measured"
 """
@@ -31,9 +31,9 @@ ARM = (
     """
 [sensors]
 encoder = { noise_arcsec = 5.0 }
-tracker_x = { noise_um = 15.0, group = "tracker" }
-tracker_y = { noise_um = 15.0, group = "tracker" }
-tracker_z = { noise_um = 15.0, group = "tracker" }
+tracker_x = { noise_um = 15.0, noise_group = "tracker" }
+tracker_y = { noise_um = 15.0, noise_group = "tracker" }
+tracker_z = { noise_um = 15.0, noise_group = "tracker" }
 
 [parameters]
 a = { prior = "normal", sd = 0.3 }
@@ -46,9 +46,9 @@ CABLES = (
     """
 [sensors]
 motor = { noise_deg = 0.5 }
-x = { noise_mm = 0.1, group = "camera" }
-y = { noise_mm = 0.1, group = "camera" }
-z = { noise_mm = 0.1, group = "camera" }
+x = { noise_mm = 0.1, noise_group = "camera" }
+y = { noise_mm = 0.1, noise_group = "camera" }
+z = { noise_mm = 0.1, noise_group = "camera" }
 
 [parameters]
 A_x = { prior = "normal", sd = 5.0 }
@@ -88,7 +88,7 @@ def _write_own(folder: Path, machine: str, known: str) -> None:
     (folder / "data" / "readings.csv").write_text(str(made.files["readings.csv"]))
 
 
-def read_subject(path: Path) -> Subject:
+def read_subject(path: Path) -> TestedVariant:
     """Return a study's first variant as a check sees it."""
     name = load(path)[1].variants[0].name
-    return read_check(configure_check(path, [name], None, None), path.parent).subjects[name]
+    return read_selftest(configure_selftest(path, [name], None, None), path.parent).subjects[name]

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.experiments.check.inputs import Subject
+from bayescal.experiments.selftest.inputs import TestedVariant
 from bayescal.numerics.geometry import Array
 
 SHIFT_MM, TURN_DEG = 1.0, 0.3  # of a frame
@@ -29,12 +29,12 @@ type Planted = tuple[Array, str, tuple[str, ...]]
 """Readings, fault, words."""
 
 
-def simulate(subject: Subject, rng: np.random.Generator, noise: Array | float = 1.0) -> Array:
+def simulate(subject: TestedVariant, rng: np.random.Generator, noise: Array | float = 1.0) -> Array:
     """Return readings of a machine of the priors whose noise is so many times the stated one."""
     posterior = subject.measured.posterior
     likelihood = posterior.likelihood
     loud = replace(likelihood, data=replace(likelihood.data, sd=likelihood.data.sd * noise), expansion=None)
-    noisy = Subject(replace(subject.measured, posterior=replace(posterior, likelihood=loud)))
+    noisy = TestedVariant(replace(subject.measured, posterior=replace(posterior, likelihood=loud)))
     for _ in range(100):
         found = noisy.simulate(draw_machine(subject, rng), rng)
         if found is not None:
@@ -42,19 +42,19 @@ def simulate(subject: Subject, rng: np.random.Generator, noise: Array | float = 
     raise RuntimeError("found no machine that takes the poses")
 
 
-def draw_machine(subject: Subject, rng: np.random.Generator) -> Array:
+def draw_machine(subject: TestedVariant, rng: np.random.Generator) -> Array:
     """Return a machine of the priors (n,) whose model does not err."""
     y = subject.posterior.draw_prior(1, rng)[0]
     y[[name.startswith(("sigma_", "tau")) for name in subject.posterior.names]] = NOTHING
     return y
 
 
-def _channels(subject: Subject) -> tuple[list[str], list[str], np.ndarray]:
+def _channels(subject: TestedVariant) -> tuple[list[str], list[str], np.ndarray]:
     model = subject.measured.posterior.likelihood.model
     return list(model.names), [one.unit for one in model.channels], subject.measured.internal
 
 
-def frame(subject: Subject, rng: np.random.Generator) -> Planted:
+def frame(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant an instrument in a frame that is off, or a probe on the tool."""
     values, (_, units, internal) = simulate(subject, rng), _channels(subject)
     places = [k for k in np.flatnonzero(~internal) if units[k] == "mm"]
@@ -81,8 +81,8 @@ LENGTHS = (1e-3, 1e3, 0.1, 10.0, 1.0 / 25.4)  # metres, µm, cm, mm for cm, inch
 ANGLES = (float(np.degrees(1.0)), float(np.radians(1.0)), 1e3)
 
 
-def unit(subject: Subject, rng: np.random.Generator) -> Planted:
-    """Plant columns in another unit, one of them alone, or displacements from home in place of positions."""
+def unit(subject: TestedVariant, rng: np.random.Generator) -> Planted:
+    """Plant columns in another unit, one of them alone, or displacements from home instead of positions."""
     values, (names, units, internal) = simulate(subject, rng), _channels(subject)
     groups = [
         np.flatnonzero([(one == other) and inside == own for other, inside in zip(units, internal, strict=True)])
@@ -100,7 +100,7 @@ def unit(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "unit", tuple({names[k].partition("[")[0] for k in some})
 
 
-def sign(subject: Subject, rng: np.random.Generator) -> Planted:
+def sign(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant a channel of the other sign."""
     values, (names, _, _) = simulate(subject, rng), _channels(subject)
     k = rng.integers(len(names))
@@ -109,7 +109,7 @@ def sign(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "unit channel", (names[k],)  # or -1 times what the others say
 
 
-def exchanged(subject: Subject, rng: np.random.Generator) -> Planted:
+def exchanged(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant two channels of one unit exchanged, or legs numbered the other way round or from another one."""
     values, (names, units, internal) = simulate(subject, rng), _channels(subject)
     moved, own = values.copy(), np.flatnonzero(internal)
@@ -127,7 +127,7 @@ def exchanged(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "legs", ("counted from leg",)
 
 
-def poses(subject: Subject, rng: np.random.Generator) -> Planted:
+def poses(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant poses that were read in another way: angles for vectors, the base seen from the platform, a mirror."""
     values, (names, units, internal) = simulate(subject, rng), _channels(subject)
     lengths = [k for k in np.flatnonzero(~internal) if units[k] == "mm"]
@@ -153,7 +153,7 @@ def poses(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "poses", ("left-handed",)
 
 
-def noise(subject: Subject, rng: np.random.Generator) -> Planted:
+def noise(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Make the instrument, or all channels, five times as noisy as stated, or as quiet."""
     _, _, internal = _channels(subject)
     factor = NOISE if rng.random() < 0.5 else 1.0 / NOISE
@@ -161,7 +161,7 @@ def noise(subject: Subject, rng: np.random.Generator) -> Planted:
     return simulate(subject, rng, loud), "noise", ("noise",)
 
 
-def row(subject: Subject, rng: np.random.Generator) -> Planted:
+def row(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant a row whose commands belong to another pose, rows shifted by one from some place on, or all of them."""
     values, (_, _, internal) = simulate(subject, rng), _channels(subject)
     n = len(values)
@@ -179,7 +179,7 @@ def row(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "rows", ("shifted by one",)
 
 
-def sensor(subject: Subject, rng: np.random.Generator) -> Planted:
+def sensor(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant a channel that is frozen, scaled or shifted."""
     values, (names, units, _) = simulate(subject, rng), _channels(subject)
     k, kind = rng.integers(len(names)), rng.integers(3)
@@ -194,7 +194,7 @@ def sensor(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "channel", (names[k],)
 
 
-def tolerance(subject: Subject, rng: np.random.Generator) -> Planted:
+def tolerance(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant a parameter eight of its tolerances off, of machines that take the poses all the same."""
     posterior = subject.posterior
     for _ in range(100):
@@ -211,10 +211,10 @@ def _solve(posterior: object, y: Array, k: int, move: float) -> Array:
     """Return coordinates whose natural parameter k is moved, all others as they are."""
     theta = posterior.theta(y[None])[0]  # type: ignore[attr-defined]
     theta[posterior.sampling.layout.names.index(posterior.names[k])] += move  # type: ignore[attr-defined]
-    return posterior.adopt(theta[None], y[None, posterior.n_geometry :])[0]  # type: ignore[attr-defined]
+    return posterior.to_coordinates(theta[None], y[None, posterior.n_geometry :])[0]  # type: ignore[attr-defined]
 
 
-def drift(subject: Subject, rng: np.random.Generator) -> Planted:
+def drift(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant a channel that drifts while the rows are measured."""
     values, (names, _, _) = simulate(subject, rng), _channels(subject)
     k = rng.integers(len(names))
@@ -224,7 +224,7 @@ def drift(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "drift", (names[k].partition("[")[0], "frame")
 
 
-def erring(subject: Subject, rng: np.random.Generator) -> Planted:
+def erring(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant nothing, but let the machine err by what no model states: 10 or 50 µm rms at the tool, with the travel.
 
     A random matrix times the travel of the machine's own channels, as eq. 4 of RR-8096 has K.
@@ -240,12 +240,12 @@ def erring(subject: Subject, rng: np.random.Generator) -> Planted:
     return moved, "", ()
 
 
-def clean(subject: Subject, rng: np.random.Generator) -> Planted:
+def clean(subject: TestedVariant, rng: np.random.Generator) -> Planted:
     """Plant nothing."""
     return simulate(subject, rng), "", ()
 
 
-PLANTS: dict[str, Callable[[Subject, np.random.Generator], Planted]] = {
+PLANTS: dict[str, Callable[[TestedVariant, np.random.Generator], Planted]] = {
     one.__name__: one
     for one in (clean, erring, frame, unit, sign, exchanged, poses, row, sensor, noise, tolerance, drift)
 }

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.frame.load import load, read_inputs
+from bayescal.experiments.runner.load import load, read_inputs
 from bayescal.experiments.study.page.model_error import name_cause
 from bayescal.inference.causes import weigh_causes
 from bayescal.inference.mode import find_modes
@@ -34,7 +34,7 @@ def weigh_twin(name: str, row: str, size: float, seed: int, folder: Path) -> dic
     write_tables(machine, twin.values, twin.held, folder)
     kind, config = load(folder / "study.toml")
     inputs = read_inputs(kind, config, folder)
-    posterior = next(iter(inputs.variants.values())).posterior().anchored()
+    posterior = next(iter(inputs.variants.values())).posterior().with_pose_guesses()
     found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
     return {name: one.log_odds for name, one in found.items()}
 

@@ -26,7 +26,7 @@ from benchmarks.truth.scores import draw_twin
 
 TEN = ("cell", "mount", "scara", "rotary_delta", "probed_delta", "positioner", "planar_rrr", "arm_camera", "five_bar")
 FIFTEEN = (*TEN, "axes", "hexapod", "delta", "arm", "cables", "cell6")
-VARIANTS = ("init", "independent", "none")
+VARIANTS = ("init", "random", "none")
 OUTCOMES = {0: "converged", 3: "not converged"}
 RUN = (
     "import faulthandler, signal; faulthandler.register(signal.SIGXCPU, chain=True); import bayescal.cli as c; c.main()"
@@ -86,7 +86,7 @@ def main() -> None:
 
 
 def write(path: Path, line: dict[str, object]) -> None:
-    """Write one machine's line into a table, in place of its last one."""
+    """Write one machine's line into a table, instead of its last one."""
     lines = pd.read_csv(path).to_dict("records") if path.exists() else []
     known = {one["machine"]: one for one in lines}
     known[line["machine"]] = known.get(line["machine"], {}) | line

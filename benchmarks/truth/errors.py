@@ -3,7 +3,7 @@
 Each shape is a function of (machine, poses (P, q), random generator) that draws coefficients and returns errors (P', N)
 of any size as a function of poses (P', q) in measuring order. They are scaled so that their rms about each actuator's
 mean, over the poses P, is what is asked for. Measured again, a machine errs by the same function; what hangs on time
-and not on the pose is drawn anew at every call.
+and not on the pose is drawn independently at every call.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The default model error in linear-Gaussian code of its own: what intervals should hold, many twins a row.
 
     python -m benchmarks.truth.linear ROW... --machine hexapod [--sizes 1] [--twins 40] [--seed 7]
-                                             [--at-least-um 0] [--each] [--out benchmarks/truth/linear.csv]
+                                             [--floor-um 0] [--each] [--out benchmarks/truth/linear.csv]
 
 About the truth, readings and parameters are normal given the sizes of errors:
 
@@ -23,30 +23,36 @@ from scipy.linalg import cho_factor, cho_solve
 
 from benchmarks.truth.errors import MATRIX, NONE, ROWS
 from benchmarks.truth.machines import MACHINES
-from benchmarks.truth.scores import begin_arguments, draw_twin, hold
+from benchmarks.truth.scores import Twin, begin_arguments, draw_twin, hold
 from benchmarks.truth.simulated import Array, Simulated, find_determined
 
 TAU, FUNCTIONS = 10e-3, 20e-3  # mm, scales of sizes; or one and two standard deviations of the actuators' noise
 STEPS, WARM, EVERY, EACH = 300, 0.2, 20, 25  # steps a size; share left out; draws of parameters at each that is kept
 STRIDES = (0.3, 1.0, 2.0)
 START = 0.02  # of a drift
+N_NEAREST = 400  # poses over which a machine is fitted to one that errs
 WAVE = 0.25  # ranges: length of waves of the own position
-RANDOM = "independent"
-LASTING = ("linear", "own", "smooth")
+COVERED = {"cell": np.ones((3, 3)), "axes": np.eye(3)}
+"""Machines whose gains are free: which errors of actuators linear in the travel of which others are parameters."""
+RANDOM = "random"
+LASTING = ("linear", "positioning", "smooth")
 ALL = (RANDOM, *LASTING, "drift")
 
 
-def build_kernels(sorts: tuple[str, ...], z: Array, time: Array) -> list[Array]:
+def build_kernels(sorts: tuple[str, ...], z: Array, time: Array, covered: Array | None = None) -> list[Array]:
     """Return k_t / c_t of each actuator between poses, (N, P, P) each, at travels (P, N) in units of the range.
 
-    A sort that ends with a number is that of one actuator alone.
+    A sort that ends with a number is that of one actuator alone. What is ``covered`` (N, N), an error of actuator i in
+    proportion to the travel of actuator j, is a parameter and no error.
     """
+    free = 1.0 - (np.zeros((z.shape[1],) * 2) if covered is None else covered)
     near = np.exp(-0.5 * np.sum((z[:, None] - z[None]) ** 2, axis=-1))
     home, apart = np.exp(-0.5 * np.sum(z**2, axis=1)), z.T[:, :, None] - z.T[:, None, :]
     known = {
         RANDOM: np.eye(len(z))[None],
-        "linear": (z @ z.T)[None],
-        "own": z.T[:, :, None] * z.T[:, None, :] + WAVE**2 * np.exp(-0.5 * (apart / WAVE) ** 2),
+        "linear": np.einsum("ij,pj,qj->ipq", free, z, z),
+        "positioning": free.diagonal()[:, None, None] * z.T[:, :, None] * z.T[:, None, :]
+        + WAVE**2 * np.exp(-0.5 * (apart / WAVE) ** 2),
         "smooth": (near - home[:, None] - home + 1.0)[None],
         "drift": (np.minimum.outer(time, time) + START)[None],
     }
@@ -71,6 +77,7 @@ class Problem:
         time: Array,
         sorts: tuple[str, ...],
         least: float = 0.0,
+        covered: Array | None = None,
     ) -> None:
         across, slope = machine.reduce(theta, v)
         n, q = machine.n_actuators, slope.shape[1]
@@ -79,7 +86,7 @@ class Problem:
         apart = (values - machine.read(theta, v)) / machine.noise
         self.rows = np.einsum("pkr,pk->pr", across, apart).ravel() - self.slope @ self.centre
         shown = np.swapaxes(across[:, :n] / (machine.noise[:n] * machine.lever)[:, None], 1, 2)
-        kernels = build_kernels(sorts, 0.5 * machine.travel(v), time)
+        kernels = build_kernels(sorts, 0.5 * machine.travel(v), time, covered)
         size = len(v) * q
         self.errors = np.array(
             [np.einsum("pri,ipq,qsi->prqs", shown, one, shown, optimize=True).reshape(size, size) for one in kernels]
@@ -126,6 +133,19 @@ class Problem:
         return mean + rng.standard_normal((EACH, len(mean))) @ np.linalg.cholesky(covariance).T
 
 
+def find_nearest(machine: Simulated, twin: Twin, rng: np.random.Generator) -> Array:
+    """Return the parameters less the true ones, over the tolerances, (D,), of the machine that imitates the twin best.
+
+    That is by least squares over poses of the whole workspace: a part of the error that parameters equal everywhere, as
+    the slope of an error is a channel's gain, counts as theirs.
+    """
+    v = machine.draw_poses(twin.theta, N_NEAREST, rng)
+    across, slope = machine.reduce(twin.theta, v)
+    n, slope = machine.n_actuators, slope.reshape(-1, twin.theta.size)
+    errors = np.einsum("pkr,pk->pr", across[:, :n], twin.error(v) / machine.noise[:n]).ravel()
+    return np.linalg.solve(slope.T @ slope + np.eye(slope.shape[1]), slope.T @ errors)
+
+
 def judge(
     name: str, row: str, size: float, twins: int, seed: int, least: float = 0.0, each: bool = False
 ) -> dict[str, object]:
@@ -135,7 +155,10 @@ def judge(
     """
     n = MACHINES[name]().n_actuators
     linear = [f"linear {k}" for k in range(1, n + 1)] if each else ["linear"]
-    every, found = (RANDOM, *linear, "own", "smooth", "drift"), []
+    covered = COVERED.get(name)
+    if covered is not None and covered.all():
+        linear = []
+    every, found = (RANDOM, *linear, "positioning", "smooth", "drift"), []
     for k in range(twins):
         machine, twin = draw_twin(name, row, size, 1000 * seed + k)
         machine.matrix, kept = None, np.flatnonzero(~twin.held)  # the fitted model has no deformation
@@ -143,15 +166,17 @@ def judge(
         directions, scores = find_determined(right), []
         for sorts in (every, (RANDOM,)):
             rows = twin.v[kept], twin.values[kept], kept / len(twin.v)
-            problem = Problem(machine, twin.theta, *rows, sorts, least)
+            problem = Problem(machine, twin.theta, *rows, sorts, least, covered)
             draws = problem.draw(np.random.default_rng([seed, k]))
             nothing = np.zeros(draws.shape[1])
             scores += [hold(draws, nothing), hold(draws @ directions.T, directions @ nothing)]
             if sorts is every:
+                nearest = find_nearest(machine, twin, np.random.default_rng([seed, k, 1]))
+                of_nearest = [hold(draws, nearest), hold(draws @ directions.T, directions @ nearest)]
                 wider = float(np.sqrt(np.mean(draws.var(axis=0) / np.diagonal(right))))
-        found.append([100.0 * one for one in scores] + [wider])
+        found.append([100.0 * one for one in scores + of_nearest] + [wider])
     mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(twins)
-    names = ("parameters", "directions", "tau_parameters", "tau_directions")
+    names = ("parameters", "directions", "tau_parameters", "tau_directions", "nearest_parameters", "nearest_directions")
     shares = {
         key: value
         for k, one in enumerate(names)
@@ -161,37 +186,37 @@ def judge(
         "machine": name,
         "row": row,
         "size": size,
-        "at_least_um": least,
+        "floor_um": least,
         "each": each,
         "seed": seed,
         "twins": twins,
         **shares,
-        "sd_ratio": mean[4].round(2),
+        "sd_ratio": mean[6].round(2),
     }
 
 
 def main() -> None:
     """Judge rows, print them and write them into a table."""
     parser = begin_arguments(__doc__.splitlines()[0], 7)
-    parser.add_argument("--at-least-um", type=float, default=0.0)
+    parser.add_argument("--floor-um", type=float, default=0.0)
     parser.add_argument("--each", action="store_true")
     given = parser.parse_args()
     rows = given.rows or [one for one in ROWS if one != MATRIX or given.machine.startswith("telescope")]
     for row in rows:
         for size in [0.0] if row == NONE else given.sizes:
-            found = judge(given.machine, row, size, given.twins, given.seed, given.at_least_um, given.each)
+            found = judge(given.machine, row, size, given.twins, given.seed, given.floor_um, given.each)
             print(", ".join(f"{key} {value}" for key, value in found.items()), flush=True)
             if given.out is not None:
                 write(given.out, found)
 
 
 def write(path: Path, found: dict[str, object]) -> None:
-    """Write one line into a table, in place of what stands there of the same row."""
-    keys = ["machine", "row", "size", "at_least_um", "each"]
+    """Write one line into a table, instead of what stands there of the same row."""
+    keys = ["machine", "row", "size", "floor_um", "each"]
     table = pd.DataFrame([found])
     if path.exists():
         table = pd.concat([pd.read_csv(path), table]).drop_duplicates(keys, keep="last")
-    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float, "at_least_um": float, "each": bool}
+    places = {"machine": list(MACHINES).index, "row": ROWS.index, "size": float, "floor_um": float, "each": bool}
     table.sort_values(keys, key=lambda one: one.map(places[str(one.name)])).to_csv(path, index=False)
 
 

@@ -20,20 +20,20 @@ import numpy as np
 import pandas as pd
 
 from bayescal.calibrated.predict import predict_poses
-from bayescal.experiments.frame.identity import describe_provenance, identify
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.results import write_results
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.identity import describe_provenance, identify
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.results import write_results
+from bayescal.experiments.runner.run import compute_experiment
 from bayescal.experiments.shared.calibrating import load_calibrated
+from bayescal.experiments.shared.posterior_files import read_draws
 from bayescal.experiments.shared.study_schema import stem_of
-from bayescal.experiments.shared.trees import read_draws
 from bayescal.projects.start import start_project
 from benchmarks.truth.functions import Function
 from benchmarks.truth.machines import Platform
 from benchmarks.truth.simulated import Array, Simulated
 
 INIT = {"hexapod": ("hexapod", "poses"), "carriages": ("carriages", "poses"), "delta": ("own", None)}
-DEFAULTS = ("init", "tau", "floor", "independent", "none")
+DEFAULTS = ("init", "tau", "floor", "random", "none")
 EFFORT = """[sampler]
 ensembles = 4
 walkers = 48
@@ -43,17 +43,17 @@ steps = 16
 [evidence]
 draws = 1000
 max_draws = 1000
-target_error = 1.0
+tolerance_nat = 1.0
 
 [sensitivity]
-factor = [1.0]
+prior_width_factors = [1.0]
 """
 EXACT = "exact"
 """Name of a variant without model error."""
 STATED = {
-    "tau": '[model_error]\nterms = ["independent"]\nscale_um = 10.0\n',
-    "floor": "[model_error]\nat_least_um = 10.0\n",
-    "independent": '[model_error]\nterms = ["independent"]\n',
+    "tau": '[model_error]\nterms = ["random"]\nrandom_scale_um = 10.0\n',
+    "floor": "[model_error]\nfloor_um = 10.0\n",
+    "random": '[model_error]\nterms = ["random"]\n',
     "none": "[model_error]\nterms = []\n",
 }
 TELESCOPE = """name = "telescope"
@@ -78,7 +78,7 @@ title = "A twin"
 seed = 1
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "benchmarks/truth"
 
@@ -186,7 +186,7 @@ def _write_function(name: str, machine: Function, folder: Path) -> None:
     symbols = [(symbol, np.degrees(one.sd) if one.unit == "rad" else one.sd) for symbol, one in machine.symbols.items()]
     text = OWN.format(
         name=name,
-        commanded=f"\ncommanded = {quote(machine.commanded)}" if machine.commanded else "",
+        commanded=f"\ncommanded_channels = {quote(machine.commanded)}" if machine.commanded else "",
         sensors="\n".join(f"{sensor} = {{ {key} = {times * one.noise:.9g} }}" for sensor, key, times, one in sensors),
         parameters="\n".join(f'{symbol} = {{ prior = "normal", sd = {sd:.9g} }}' for symbol, sd in symbols),
         fixed=f"\nfixed = {quote(machine.fixed)}" if machine.fixed else "",
@@ -250,7 +250,7 @@ def calibrate(machine: Simulated, folder: Path, seed: int, commands: Array, name
         gain = variants[first]["log_evidence"] - variants[EXACT]["log_evidence"] if EXACT in variants else np.nan
         drawn = read_draws(out / "posterior" / f"{stem_of(first)}.nc")
         held = read_held(out / "tables", first, isinstance(machine, Platform))
-        place = predict_poses(load_calibrated(out, first, force=True, trust=True), commands)
+        place = predict_poses(load_calibrated(out, first, allow_unconverged=True, trust=True), commands)
     draws = np.stack([drawn[name] for name in names or machine.names], axis=1)
     return Calibrated(draws, held, place.tool, place.sd, gain, variants[first]["problems"], seconds)
 
@@ -260,7 +260,7 @@ def read_held(tables: Path, variant: str, by_pose: bool) -> np.ndarray:
     found = pd.read_csv(tables / ("pose_errors.csv" if by_pose else "predictions.csv"))
     found = found[found["variant"] == variant]
     if not by_pose:
-        return found["inside"].to_numpy()
+        return found["in_interval_90"].to_numpy()
     found = found[found["use"] == "verification"]
     low, error, high = (found.filter(regex=f"^r?[xyz]_{what}_").to_numpy() for what in ("low", "error", "high"))
     return ((low <= error) & (error <= high)).ravel()

@@ -26,9 +26,12 @@ from bayescal.config.load import read_toml
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import FileMark, Section
 from bayescal.experiments import USES
-from bayescal.experiments.frame.load import find_kind, load
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.load import find_kind, load
+from bayescal.files.rows import ColumnType
 from bayescal.machines.readings import ReadingMachine
 from bayescal.machines.schema import LegsMachineConfig, MachineFileConfig, MechanismConfig, SlidingPlatformConfig
+from bayescal.report.findings import FindingRow
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
@@ -269,8 +272,7 @@ def list_schemas() -> dict[str, tuple[str, str, type[BaseModel]]]:
             found = find_class(what, name, ReadingMachine, "kind", ROOT, None)
             page = (f"{title}: options of {name}", summarise(found), getattr(found, "Config", Section))
             pages.setdefault(name, page)
-    for kind in sorted({**list_references("KINDS"), **USES}):
-        found = find_kind(kind, ROOT, None)
+    for kind, found in list_kinds().items():
         pages[f"kind_{kind}"] = (f'kind = "{kind}"', summarise(type(found)), found.schema)
     return pages
 
@@ -352,12 +354,45 @@ def write_names() -> str:
     return "\n".join(parts)
 
 
+def list_kinds() -> dict[str, Experiment[Any, Any]]:
+    """Return every kind of experiment by its name."""
+    return {kind: find_kind(kind, ROOT, None) for kind in sorted({**list_references("KINDS"), **USES})}
+
+
+def write_tables() -> str:
+    """Return the page of the tables of results, from the declarations of their rows."""
+    parts = [
+        "# Tables of results\n\nThe CSV files of each kind of experiment and their columns; in Python they are "
+        "`results.tables`. A column in italics is there where it applies.\n"
+    ]
+    for kind, found in list_kinds().items():
+        parts.append(f'## kind = "{kind}"\n')
+        for row in (FindingRow, *found.rows):
+            lines = "\n".join(write_column(one) for one in row.list_columns())
+            parts.append(
+                f"### {row.table}.csv\n\n{describe(row)}\n\n| column | meaning | unit |\n|---|---|---|\n{lines}\n"
+            )
+    return "\n".join(parts)
+
+
+def write_column(one: ColumnType) -> str:
+    """Return the row of a column."""
+    name = f"*`{one.name}`*" if one.is_optional else f"`{one.name}`"
+    choices = f": {', '.join(f'`{text}`' for text in one.choices)}" if one.choices else ""
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in (name, one.meaning + choices, one.unit)) + " |"
+
+
 def write_references(app: Sphinx) -> None:
     """Write all generated pages where they are not so already."""
     folder = Path(app.srcdir) / "reference"
     pages, examples = list_schemas(), collect_examples()
     texts = {f"toml/{name}.md": write_page(*page, examples) for name, page in pages.items()}
-    texts |= {"toml/index.md": write_index(pages), "cli.md": write_commands(), "python.md": write_names()}
+    texts |= {
+        "toml/index.md": write_index(pages),
+        "cli.md": write_commands(),
+        "python.md": write_names(),
+        "tables.md": write_tables(),
+    }
     for name, text in texts.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

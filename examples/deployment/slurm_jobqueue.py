@@ -2,7 +2,7 @@
 
     pip install 'bayescal[dask]' dask-jobqueue
     python examples/deployment/slurm_jobqueue.py --queue compute --least 2 --most 64 &
-    bayescal run experiments/audit/m2_hexapod_tracker.toml --scheduler scheduler.json
+    bayescal run experiments/audit/m2_hexapod_tracker.toml --dask-scheduler scheduler.json
 
 It serves until it is interrupted; workers whose jobs end are replaced, and their tasks repeated.
 """

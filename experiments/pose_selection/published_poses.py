@@ -16,9 +16,9 @@ from pydantic import Field, model_validator
 from bayescal.config.classes import label_class
 from bayescal.config.sections import InputFile, Positive, Section
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.selection.compute import KEY, NEAR
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.selection.compute import BOUNDARY_FRACTION, KEY
 from bayescal.experiments.selection.inputs import SelectionInputs
 from bayescal.experiments.selection.kind import Selection
 from bayescal.experiments.selection.page import (
@@ -33,9 +33,9 @@ from bayescal.experiments.selection.schema import Count, SelectionConfig, label_
 from bayescal.experiments.selection.verdict import JUDGEMENTS, Tables, judge_methods, state_headline
 from bayescal.files.csv_tables import read_table
 from bayescal.pose_selection import METHODS
-from bayescal.report.blocks import Cell, Column, Figure, Page, Statement, make_section, make_table
-from bayescal.report.blocks import Section as PageSection
-from bayescal.report.numbers import format_estimate, format_fixed, format_percent, join_words
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Statement, make_section, make_table
+from bayescal.report.blocks import PageSection as PageSection
+from bayescal.report.numbers import capitalise, format_fixed, format_percent
 from bayescal.report.style import INK, RED
 
 PRINTED = 5e-4  # of a value: half of a unit of the fourth digit is less
@@ -159,18 +159,19 @@ def judge_published(tables: Tables) -> list[Statement]:
     statements = []
     for label, rows in table.groupby("label", sort=False) if len(table) else ():
         reached = rows["ratio"] > 1.0 - PRINTED
-        on_average = rows["ratio_of_mean"] > 1.0 - PRINTED
-        words = (
-            f"{int(reached.sum())} of {len(rows)} printed values are reached by the best of the repeats, "
-            f"{int(on_average.sum())} by their mean"
-        )
+        n, text = int(reached.sum()), f"{int(reached.sum())} of {len(rows)} printed values are reached"
         short = rows[~reached].groupby("criterion", sort=False)["ratio"].min()
         if len(short):
-            by = [f"{name} by up to {format_percent(1 - ratio, 1)}" for name, ratio in short.items()]
-            words += f"; short are {join_words(by)}"
+            text += f"; {short.idxmin()} is short by up to {format_percent(1 - float(short.min()), 1)}"
         title = METHODS[str(label)].title if label in METHODS else str(label)
         statements.append(
-            Statement(f"{words}.", "good" if reached.all() else "warning", f"Published table, {title}")
+            Statement(
+                f"{text}.",
+                "good" if reached.all() else "warning",
+                f"Published table, {title}",
+                value=n,
+                limit=len(rows),
+            )
         )
     return statements
 
@@ -190,12 +191,10 @@ def judge_random(tables: Tables) -> list[Statement]:
             continue
         first, off = float(values.iloc[0]), float(values.iloc[0]) / published - 1.0
         inside = bool(values.min() <= published <= values.max())
-        words = f"The {what} of {len(sets) // len(values)} random sets is {format_fixed(first, 5)}, published "
-        words += f"{format_fixed(published, 5)} ({format_fixed(100 * off, 1, sign=True)} %)"
-        if len(values) > 1:
-            words += f"; over {len(values)} draws of candidates and sets {format_estimate(values.mean(), values.std())}"
-            words += ", the published one within their span" if inside else ", the published one outside their span"
-        statements.append(Statement(f"{words}.", "good" if inside else "warning", "Random sets"))
+        words = f"{capitalise(what)} of {len(sets) // len(values)} random sets: {format_fixed(first, 5)}, published "
+        words += f"{format_fixed(published, 5)} ({format_fixed(100 * off, 1, sign=True)} %)."
+        level: Level = "good" if inside else "warning"
+        statements.append(Statement(words, level, "Random sets", value=first, limit=published))
     return statements
 
 
@@ -203,10 +202,11 @@ def judge_boundary(tables: Tables) -> list[Statement]:
     """Return how many of the chosen poses lie at the boundary, where published optima do."""
     if tables.errors.empty:
         return []
-    shares = tables["selections"].groupby("label", sort=False)["at_boundary"].mean().dropna()
-    words = join_words([f"{format_percent(share)} of {label}" for label, share in shares.items()])
-    text = f"of the poses chosen, {words} lie within {format_percent(1 - NEAR)} of the limit of a coordinate."
-    return [Statement(text, "plain", "Boundary")]
+    shares = tables["selections"].groupby("label", sort=False)["boundary_fraction"].mean().dropna()
+    label, share = str(shares.idxmax()), float(shares.max())
+    near = format_percent(1 - BOUNDARY_FRACTION)
+    text = f"Poses within {near} of a limit: up to {format_percent(share)} ({label})."
+    return [Statement(text, "plain", "Boundary", value=share)]
 
 
 # --- page --------------------------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def show_published(tables: Tables) -> PageSection | None:
             format_value(row["published"]),
             format_value(row["best"]),
             format_spread(row["mean"], row["sd"]),
-            str(row["repeats"]),
+            str(row["n_repeats"]),
             Cell(
                 format_fixed(100 * (row["ratio"] - 1), 1, sign=True),
                 "good" if row["ratio"] > 1.0 - PRINTED else "warning",

@@ -19,13 +19,13 @@ from bayescal.config.sections import ExperimentConfig, Positive, check_once
 from bayescal.data.photogrammetry.line_fit import fit_line
 from bayescal.data.photogrammetry.rigid_fit import RigidFit, fit_rigid_body
 from bayescal.errors import InputError
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.numerics.geometry import Array, compute_pose_error
 from bayescal.numerics.units import MICROMETRE
-from bayescal.report.blocks import Column, Figure, Page, Section, Statement, Table, make_table
+from bayescal.report.blocks import Column, Figure, Page, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import MICROMETRES, format_estimate, format_fixed, format_plain, format_significant
 
 METHODS: dict[str, Callable[[Array, Array, float], RigidFit]] = {"line": fit_line, "robust": fit_rigid_body}
@@ -211,7 +211,7 @@ class PoseMethods(Experiment[PoseMethodsConfig, PoseMethodsConfig]):
         del folder
         return config
 
-    def estimate_memory(self, inputs: PoseMethodsConfig) -> Need:
+    def estimate_memory(self, inputs: PoseMethodsConfig) -> MemoryEstimate:
         """Return what one body's targets take, and the table of all repeats."""
         counts = {"targets at most": max(inputs.n_targets), "repeats": inputs.repeats}
         held = [(TARGETS, max(inputs.n_targets)), (ROWS, 2 * len(inputs.n_targets), inputs.repeats)]
@@ -240,11 +240,11 @@ class PoseMethods(Experiment[PoseMethodsConfig, PoseMethodsConfig]):
             config.name,
             config.title,
             "Simulated; nothing was measured",
-            "Fit the targets as a rigid body: by a line through them the whole orientation errs "
-            f"{format_significant(ratio)} times as much as by the robust rigid-body fit.",
+            "Fit the targets as a rigid body. The orientation error of a line fit is "
+            f"{format_significant(ratio)} times as large.",
             tuple(verdict),
             (
-                Section(
+                PageSection(
                     "Errors",
                     (
                         Figure("figure5", caption, partial(draw_pose_methods, summary)),
@@ -270,7 +270,7 @@ def compare(config: PoseMethodsConfig) -> pd.DataFrame:
 def _describe_errors(errors: dict[str, float]) -> str:
     position = format_fixed(MICROMETRES * errors["position_error_mm"], 2)
     whole, axis = (format_fixed(errors[name], 4) for name in ("orientation_error_deg", "axis_error_deg"))
-    return f"mean errors: position {position} µm, orientation {whole}°, axis {axis}°."
+    return f"Mean errors: position {position} µm, orientation {whole}°, axis {axis}°."
 
 
 def _tabulate(summary: pd.DataFrame) -> Table:

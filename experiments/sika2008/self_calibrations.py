@@ -6,10 +6,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.report.blocks import Page
 from sika2008.documented import run_documented, run_sweep
 from sika2008.machines import list_correlations, list_machine_steps, run_machines
@@ -42,7 +42,7 @@ class SelfCalibrations(Experiment[SelfCalibrationsConfig, tuple[Setup, Published
         """Return the machine with its sets of sensors, and what was printed."""
         return read_setup(config, folder), read_published(config, folder)
 
-    def estimate_memory(self, inputs: tuple[Setup, Published]) -> Need:
+    def estimate_memory(self, inputs: tuple[Setup, Published]) -> MemoryEstimate:
         """Return what the readings of all machines take, and derivatives of those calibrated at a time."""
         setup, machines = inputs[0], inputs[0].config.calibrations
         sensors, n_poses = len(setup.plans.every.sensors.chosen), len(setup.pose) + len(setup.targets)

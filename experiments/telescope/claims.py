@@ -8,7 +8,6 @@ not, all.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any
 
@@ -17,8 +16,9 @@ import pandas as pd
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.study.claims import Claims
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import ClaimRow
 from rr8096 import accuracy, geometry, identifiability, identification
-from rr8096.evidence import FAILS, HOLDS, UNTESTABLE, Claim, ClaimEvidence, ClaimRows, untestable
+from rr8096.evidence import FAILS, HOLDS, UNTESTABLE, ClaimEvidence, ClaimRows, untestable
 from rr8096.identified import identify_variants, read_tables, tabulate_least_squares
 from rr8096.published import LETTERS, NUMBERS
 
@@ -30,14 +30,14 @@ CLAIMS: tuple[Callable[[ClaimEvidence], ClaimRows], ...] = (
     *identification.FINDINGS,
 )
 
-__all__ = ["CLAIMS", "FAILS", "HOLDS", "UNTESTABLE", "Claim", "ClaimEvidence", "judge_claims", "tabulate_claims"]
+__all__ = ["CLAIMS", "FAILS", "HOLDS", "UNTESTABLE", "ClaimEvidence", "ClaimRow", "judge_claims", "tabulate_claims"]
 
 
-def judge_claims(evidence: ClaimEvidence) -> list[Claim]:
+def judge_claims(evidence: ClaimEvidence) -> list[ClaimRow]:
     """Return all claims that the study allows, in the order of the report's sections, own findings last."""
     if evidence.mechanism.drive == "strut":
         return []
-    found: list[Claim] = []
+    found: list[ClaimRow] = []
     for function in CLAIMS:
         try:
             found += function(evidence)
@@ -93,7 +93,7 @@ class Rr8096(Claims):
     def check(self, inputs: StudyInputs) -> None:
         """Refuse a study without targets, and printed tables that cannot be read."""
         if inputs.seen is None or inputs.seen.measured.targets is None:
-            found = inputs.config.claims
+            found = inputs.config.published_claims
             raise InputError(f"{inputs.folder}: claims: found {found!r} without targets, expected measured targets")
         read_tables(inputs)
 
@@ -108,4 +108,4 @@ class Rr8096(Claims):
 
 def tabulate_claims(evidence: ClaimEvidence) -> pd.DataFrame:
     """Return one row per claim."""
-    return pd.DataFrame([asdict(claim) for claim in judge_claims(evidence)])
+    return ClaimRow.collect(judge_claims(evidence))

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.report.blocks import Page
 from yu2023.indices import read_published, run_indices
@@ -39,7 +39,7 @@ class HexapodCalibrations(Experiment[HexapodCalibrationsConfig, Setup]):
             read_parameters(setup, study.published_parameters)
         return setup
 
-    def estimate_memory(self, inputs: Setup) -> Need:
+    def estimate_memory(self, inputs: Setup) -> MemoryEstimate:
         """Return what candidates take, and the calibrations that are fitted together."""
         config, study, n = inputs.config, inputs.config.study, inputs.machine.layout.size
         if isinstance(study, IndexStudyConfig):

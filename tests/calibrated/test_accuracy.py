@@ -29,7 +29,7 @@ from bayescal.calibrated.accuracy import (
     sample_range,
     sample_region,
 )
-from bayescal.calibrated.machine import MODEL, NOISE, Errors
+from bayescal.calibrated.machine import MODEL, NOISE, CommandErrors
 from bayescal.calibrated.predict import predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
@@ -59,7 +59,7 @@ def test_the_parts_of_a_budget_make_up_its_whole(calibrated, workspace):
     budget = compute_budget(calibrated, workspace)
     assert list(budget.parts) == [GEOMETRY, NOISE, MODEL]
     np.testing.assert_allclose(budget.combined, predict_poses(calibrated, workspace).covariance, rtol=1e-9, atol=1e-16)
-    still = replace(calibrated, errors=Errors(np.zeros((6, 6)), np.zeros(6)))
+    still = replace(calibrated, errors=CommandErrors(np.zeros((6, 6)), np.zeros(6)))
     np.testing.assert_allclose(budget.parts[GEOMETRY], predict_poses(still, workspace).covariance, atol=1e-16)
     double = replace(calibrated, errors=replace(calibrated.errors, noise=4e-6 * np.eye(6)))
     np.testing.assert_allclose(compute_budget(double, workspace).sd(NOISE), 2 * budget.sd(NOISE), rtol=1e-6, atol=1e-15)

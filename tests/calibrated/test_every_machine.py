@@ -28,13 +28,13 @@ from bayescal.calibrated.exported import keep_machines, read_exported
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import (
     CalibratedMachine,
-    Errors,
+    CommandErrors,
     build_calibrated,
 )
-from bayescal.calibrated.predict import bound_workspace, command_poses, is_pose, predict_poses
+from bayescal.calibrated.predict import bound_workspace, compensate_poses, is_pose, predict_poses
 from bayescal.calibrated.tables import format_command, format_prediction, read_commanded, read_commands
 from bayescal.errors import InputError
-from bayescal.experiments.shared.certificate import Wishes, build_certificate, certify, state_headline
+from bayescal.experiments.shared.certificate import CertificateOptions, build_certificate, certify, state_headline
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_pus import SixPus
@@ -73,7 +73,7 @@ def build(name: str, folder: Path) -> CalibratedMachine:
     draws = model.layout.nominal + scale * rng.standard_normal((N_DRAWS, len(scale)))
     commanded = [model.channels[k] for k in model.select(model.commanded)]
     sd = np.array([sizes[one.unit] for one in commanded])
-    errors = Errors(np.diag(sd**2), (0.5 * sd) ** 2)
+    errors = CommandErrors(np.diag(sd**2), (0.5 * sd) ** 2)
     half = np.where([one.unit == "mm" for one in model.coordinates], 60.0, 0.1)
     reach = np.array([one.reach for one in model.coordinates])
     workspace = model.home_pose + np.outer([-1.0, 1.0], np.where(reach > 0.0, reach, half))
@@ -119,13 +119,13 @@ def test_commands_of_predicted_poses_are_those_given(machine):
     commands, given = visit(machine, 12)
     found = predict_poses(machine, commands, given)
     assert found.found.all()
-    again = command_poses(machine, found.pose, given, coordinates=True)
+    again = compensate_poses(machine, found.pose, given, coordinates=True)
     assert again.reached.all()
     size = 1.0 + np.abs(commands)
     np.testing.assert_allclose(again.commands / size, commands / size, rtol=0, atol=2e-6)
     assert np.isfinite(again.covariance).all()
     if len(machine.model.tool_channels) >= len(machine.model.coordinates):
-        by_tool = command_poses(machine, found.tool, given)
+        by_tool = compensate_poses(machine, found.tool, given)
         np.testing.assert_allclose(by_tool.commands / size, commands / size, rtol=0, atol=2e-6)
 
 
@@ -140,7 +140,7 @@ def test_a_predicted_table_is_one_of_poses_to_command(machine, tmp_path, unit):
     table, answer = tmp_path / "poses.csv", tmp_path / "commands.csv"
     table.write_text(format_prediction(machine, names, found, given))
     wanted = read_commanded(table, machine)
-    again = command_poses(machine, wanted.poses, wanted.given, wanted.coordinates)
+    again = compensate_poses(machine, wanted.poses, wanted.given, wanted.coordinates)
     answer.write_text(format_command(machine, wanted.names, again, wanted.given))
     ends = {"own": ("_mm", "_rad"), "data's": ("_um", "_deg")}[unit]
     for one in machine.command_channels:
@@ -182,20 +182,20 @@ def test_covariances_are_those_of_drawn_machines(machine):
 def test_commands_vary_as_those_of_drawn_machines(machine):
     commands, given = visit(machine, 3)
     pose = machine.model.locate(machine.theta, commands, given)[0]
-    found = command_poses(replace(machine, errors=machine.errors.without_noise()), pose, given, coordinates=True)
+    found = compensate_poses(replace(machine, errors=machine.errors.without_noise()), pose, given, coordinates=True)
     rows = {name: value[None] for name, value in given.items()}
     read = machine.model.read(machine.thin(N_DRAWS)[:, None], pose, rows)[..., machine.commanded]
     variance = (
         read.var(axis=0)
         + np.diagonal(found.covariance, axis1=1, axis2=2)
-        - np.diagonal(command_poses(_exact(machine), pose, given, coordinates=True).covariance, axis1=1, axis2=2)
+        - np.diagonal(compensate_poses(_exact(machine), pose, given, coordinates=True).covariance, axis1=1, axis2=2)
     )
     np.testing.assert_allclose(np.sqrt(variance) / found.sd, 1.0, atol=0.12)
 
 
 def _exact(machine: CalibratedMachine) -> CalibratedMachine:
     n = len(machine.commanded)
-    return replace(machine, errors=Errors(np.zeros((n, n)), np.zeros(n)))
+    return replace(machine, errors=CommandErrors(np.zeros((n, n)), np.zeros(n)))
 
 
 def test_exported_and_read_again_predicts_alike(machine, tmp_path):
@@ -218,7 +218,7 @@ def test_exported_and_read_again_predicts_alike(machine, tmp_path):
 
 
 def test_a_certificate_or_the_reason_why_not(machine, tmp_path):
-    found = certify(machine, tmp_path, Wishes(n_poses=16, n_draws=100))
+    found = certify(machine, tmp_path, CertificateOptions(n_poses=16, n_draws=100))
     figures = found.list_figures()
     names = [one.name for one in machine.model.tool_channels]
     assert list(figures["standard_uncertainty"]["combined"]) == names
@@ -229,7 +229,7 @@ def test_a_certificate_or_the_reason_why_not(machine, tmp_path):
     if why:
         assert f"Not meaningful: {why}." == shown[0].text
         with pytest.raises(InputError, match="cube: not meaningful: "):
-            certify(machine, tmp_path, Wishes(n_poses=16, n_draws=20, cube_mm=1.0))
+            certify(machine, tmp_path, CertificateOptions(n_poses=16, n_draws=20, cube_mm=1.0))
     else:
         assert found.poses.accuracy.shape == (100, 5)
         assert len(found.axes) == len(machine.lengths)
@@ -240,13 +240,13 @@ def test_what_is_out_of_reach_says_why(name, tmp_path):
     machine = build(name, tmp_path)
     far = np.repeat(machine.model.home_pose[None], 2, axis=0)
     far[1] += 4.0 if name == "arm" else 900.0
-    found = command_poses(machine, far, coordinates=True)
+    found = compensate_poses(machine, far, coordinates=True)
     assert found.reached.tolist() == [True, name != "delta"]
     if name == "delta":
         assert found.faults[1] == "s[1] has no value there: the machine does not reach it"
     away = machine.model.tool_values(machine.theta, machine.model.home_pose[None]) + 2e3
     if name != "hangprinter":
-        assert not command_poses(machine, away).reached[0]
+        assert not compensate_poses(machine, away).reached[0]
 
 
 def test_redundant_commands_are_weighed_by_their_noise(tmp_path):
@@ -311,18 +311,18 @@ def test_formats_of_legs_are_refused(name, what, expected, tmp_path, refuse_line
 
 def test_commands_that_do_not_determine_a_pose_are_not_meaningful(tmp_path, refuse_line):
     machine = build("delta", tmp_path)
-    few = replace(machine, model=machine.model.pick(np.array([0, 1, 3])), errors=Errors(np.eye(2), np.zeros(2)))
+    few = replace(machine, model=machine.model.pick(np.array([0, 1, 3])), errors=CommandErrors(np.eye(2), np.zeros(2)))
     reason = "not meaningful: 2 commanded channels (s[1], s[2]) do not determine its 3 coordinates (x, y, z)"
     refuse_line(lambda: predict_poses(few, np.zeros((1, 2))), reason)
     refuse_line(lambda: compute_budget(few, np.zeros((1, 2))), reason)
-    assert np.isfinite(command_poses(few, few.model.home_pose[None], coordinates=True).commands).all()
+    assert np.isfinite(compensate_poses(few, few.model.home_pose[None], coordinates=True).commands).all()
 
 
 def test_a_tool_of_fewer_numbers_than_coordinates_commands_nothing(tmp_path, refuse_line):
     machine = build("sliding platform", tmp_path)
     assert not is_pose(machine)
     reason = "the tool's 2 numbers do not determine its 3 coordinates, expected these: x, y, phi"
-    refuse_line(lambda: command_poses(machine, np.zeros((1, 2))), reason)
+    refuse_line(lambda: compensate_poses(machine, np.zeros((1, 2))), reason)
 
 
 def test_what_is_given_has_to_be_there(tmp_path, refuse_line):

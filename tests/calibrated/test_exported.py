@@ -16,7 +16,7 @@ import telescope_machines as machines
 from bayescal.calibrated.exported import check_covariance, format_mechanism, read_exported
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import LegErrors, build_calibrated, express_parameters, settle_legs
-from bayescal.calibrated.predict import command_poses, predict_poses
+from bayescal.calibrated.predict import compensate_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine
@@ -75,7 +75,7 @@ def test_gains_are_exported(model, rng, tmp_path):
     one, other = (predict_poses(m, actuators) for m in (made_up, again))
     np.testing.assert_allclose(other.tool, one.tool, rtol=0, atol=1e-9)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6, atol=1e-18)
-    np.testing.assert_allclose(command_poses(again, one.tool).commands, actuators, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(compensate_poses(again, one.tool).commands, actuators, rtol=0, atol=1e-7)
     bare = replace(made_up.model.machine.mechanism, actuator_gains=None)
     off = Legs(replace(made_up.model.machine, mechanism=bare)).solve(made_up.theta[:-6], actuators)
     assert np.abs(off.position - one.position).max() > 1e-4  # they count
@@ -153,12 +153,14 @@ def test_near_leads_the_search_for_home(tmp_path):
     mechanism = replace(guided_machines.build_hanging(), home_position=None, platform_below=True)
     machine = build_machine(SixPus, mechanism, NoDeformation())
     home = machine.nominal_home
-    text = format_mechanism(mechanism).replace('platform = "below"', f"near_mm = {home.position.round().tolist()}")
+    text = format_mechanism(mechanism).replace(
+        'platform = "below"', f"initial_guess_mm = {home.position.round().tolist()}"
+    )
     (tmp_path / "m.toml").write_text(text)
     again = build_machine(SixPus, load_mechanism(tmp_path / "m.toml"), NoDeformation())
     np.testing.assert_allclose(again.nominal_home.position, home.position, **SAME)
-    (tmp_path / "m.toml").write_text(text.replace("near_mm", 'platform = "above"\nnear_mm'))
-    with pytest.raises(InputError, match="home: expected either position_mm, or platform or near_mm"):
+    (tmp_path / "m.toml").write_text(text.replace("initial_guess_mm", 'platform = "above"\ninitial_guess_mm'))
+    with pytest.raises(InputError, match="home: expected either position_mm, or platform or initial_guess_mm"):
         load_mechanism(tmp_path / "m.toml")
 
 
@@ -197,7 +199,7 @@ def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
     first, second = predict_poses(one, actuators), predict_poses(other, actuators)
     np.testing.assert_allclose(second.position, first.position, **SAME)
     np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-5, atol=1e-11)
-    with pytest.raises(InputError, match="found a model or deformation of one's own"):
+    with pytest.raises(InputError, match="found a model or user-defined deformation"):
         export_machine(other, tmp_path / "out", "mechanism")
     assert studies.snapshot(tmp_path) == {}
 

@@ -14,23 +14,28 @@ from bayescal.calibrated.drawn_machines import draw_poses
 from bayescal.calibrated.exported import FUNCTIONS, _read_functions, list_posterior_files
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.calibrated.in_use import MachineInUse
-from bayescal.calibrated.machine import CalibratedMachine, Errors, build_calibrated
-from bayescal.calibrated.predict import command_poses, predict_poses
-from bayescal.calibrated.recheck.statistics import choose_suspects, compute_knowledge, judge_recheck, weigh_left_over
+from bayescal.calibrated.machine import CalibratedMachine, CommandErrors, build_calibrated
+from bayescal.calibrated.predict import compensate_poses, predict_poses
+from bayescal.calibrated.verify.statistics import (
+    choose_suspects,
+    compute_knowledge,
+    judge_reverification,
+    weigh_left_over,
+)
 from bayescal.density.calibration import terms
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import OwnChannels, build_model_error
+from bayescal.density.calibration.model_error import OwnChannelRows, build_model_error
+from bayescal.density.pose_kernels import OWN_COLUMNS
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sorts import OWN_COLUMNS
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.knowledge import learn_posterior
 from bayescal.identifiability.reading_rows import differentiate_poses
 from bayescal.inference.mode import find_mode
 
 NOISE = {"s": 1e-3, "cam_x": 2e-3, "cam_y": 2e-3, "height": 2e-3}
-SORTS = ("independent", "linear", "own", "smooth", "drift")
+SORTS = ("random", "linear", "positioning", "smooth", "drift")
 COUPLING = 0.1 * np.array([[0.3, 1.0, -0.6], [-0.8, 0.2, 0.7], [0.9, -0.5, 0.4]])  # mm over a range of travel
 N_POSES, N_AGAIN, N_DRAWS = 40, 12, 400
 
@@ -53,15 +58,15 @@ class Erring:
         used = np.ones(N_POSES, dtype=bool)
         model = self.planned.model
         positions = RowPositions.find(model.channels, data, model.read(self.theta, pose), self.home)
-        self.own = OwnChannels.find(model, data, pose, used, positions, self.reach)
+        self.own = OwnChannelRows.find(model, data, pose, used, positions, self.reach)
         found = build_model_error(self.own, 6, SORTS, (0.01, 0.02), {}, each=False)
         priors = {
             name: NormalPrior(float(value), float(width))
             for name, value, width in zip(layout.names, layout.nominal, sd, strict=True)
         }
         likelihood = CalibrationLikelihood(self.planned.model, data, 1.0, pose)
-        self.random = Posterior(likelihood, priors, terms.Errors(found[:1])).anchored()
-        self.posterior = Posterior(likelihood, priors, terms.Errors(found)).anchored()
+        self.random = Posterior(likelihood, priors, terms.ErrorModel(found[:1])).with_pose_guesses()
+        self.posterior = Posterior(likelihood, priors, terms.ErrorModel(found)).with_pose_guesses()
 
     def draw(self, n: int) -> np.ndarray:
         return self.rng.uniform(self.planned.low, self.planned.high, (n, 3))
@@ -79,7 +84,7 @@ class Erring:
 
     def calibrate(self) -> CalibratedMachine:
         """Return the calibrated machine and what is known of its errors, given their most probable sizes."""
-        mode, m = find_mode(self.posterior, self.posterior.approach()), self.posterior.n_geometry
+        mode, m = find_mode(self.posterior, self.posterior.least_squares_start()), self.posterior.n_geometry
         (mean,), (covariance,) = self.posterior.linear_geometry(mode.y).given(mode.y[None, m:])
         y = np.tile(mode.y, (N_DRAWS, 1))
         y[:, :m] = self.rng.multivariate_normal(mean, covariance, N_DRAWS)
@@ -88,13 +93,13 @@ class Erring:
 
     def calibrate_by_random_errors(self) -> CalibratedMachine:
         """Return the machine as τ alone has it."""
-        mode = find_mode(self.random, self.random.approach())
+        mode = find_mode(self.random, self.random.least_squares_start())
         y = self.rng.multivariate_normal(mode.y, mode.covariance, N_DRAWS)
         return self.build(y, float(self.random.natural(mode.y[None])[0, -1]))
 
     def build(self, y: np.ndarray, tau: float) -> CalibratedMachine:
         draws = self.posterior.theta(y)
-        errors = Errors(np.diag(self.planned.sd[:3] ** 2), np.full(3, tau**2))
+        errors = CommandErrors(np.diag(self.planned.sd[:3] ** 2), np.full(3, tau**2))
         bounds = np.stack([self.planned.low, self.planned.high])
         return build_calibrated(self.planned.model, draws.mean(axis=0), draws, errors, made_up.SOURCE, workspace=bounds)
 
@@ -103,7 +108,7 @@ class Erring:
         theta = self.theta.copy()
         theta[self.planned.model.layout.index["s0"][carriage]] += shift
         sessions = [self.read(theta, self.draw(N_AGAIN)) for _ in range(2)]
-        return judge_recheck(calibrated, choose_suspects(calibrated, ["s0"]), sessions, 0.01, 2)
+        return judge_reverification(calibrated, choose_suspects(calibrated, ["s0"]), sessions, 0.01, 2)
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +229,7 @@ def test_a_page_states_the_accuracy_that_the_machine_predicts(erring, calibrated
     model, posterior, pose = erring.planned.model, erring.posterior, erring.draw(8)
     half, own = 0.5 * (erring.planned.high - erring.planned.low), np.arange(6) < 3
     variant = SimpleNamespace(model=model, data=posterior.likelihood.data, internal=own)
-    at = differentiate_poses(posterior, half, erring.draws.mean(axis=0), pose, {}).seen_by(own)
+    at = differentiate_poses(posterior, half, erring.draws.mean(axis=0), pose, {}).select_channels(own)
     forecast, both = learn_posterior(variant, replace(in_use(erring), known=calibrated.functions))(at)
     found = predict_poses(calibrated, model.read(calibrated.theta, pose)[:, :3])
     np.testing.assert_allclose(forecast.covariance(both), found.of_geometry, rtol=0.02, atol=1e-7)
@@ -248,8 +253,8 @@ def test_draws_spread_as_predicted(erring, calibrated):
 
 def test_commands_correct_the_errors(erring, calibrated):
     pose = erring.draw(8)
-    commands = command_poses(calibrated, pose).commands
-    corrected = commands - command_poses(replace(calibrated, functions=None), pose).commands
+    commands = compensate_poses(calibrated, pose).commands
+    corrected = commands - compensate_poses(replace(calibrated, functions=None), pose).commands
     assert np.abs(corrected).max() > 0.01
     left = predict_poses(calibrated, commands).tool - pose
     assert np.abs(left).max() < 0.01 * np.abs(corrected).max()  # both are of first order in the errors

@@ -11,7 +11,7 @@ import telescope_machines as machines
 
 from bayescal.calibrated.drawn_machines import draw_poses
 from bayescal.calibrated.machine import build_calibrated
-from bayescal.calibrated.predict import command_poses, predict_poses
+from bayescal.calibrated.predict import compensate_poses, predict_poses
 from bayescal.errors import InputError
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.readings import Legs
@@ -37,7 +37,7 @@ def test_poses_out_of_reach_say_why(rng):
     made_up = calibrated.build_made_up(machines.build_machine("none"), rng)
     home = predict_poses(made_up, made_up.legs.mechanism.initial_actuator_positions[None])
     moves = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [900.0, 0.0, 0.0]])
-    command = command_poses(made_up, home.tool + np.pad(moves, ((0, 0), (0, 3))))
+    command = compensate_poses(made_up, home.tool + np.pad(moves, ((0, 0), (0, 3))))
     assert command.reached.tolist() == [True, False, False]
     assert command.faults[1].startswith("rho[1] would be 12.")
     assert command.faults[1].endswith("mm, its range is 8.7 to 11.3")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from studies import run_little
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 
 pytestmark = [pytest.mark.runs, pytest.mark.usefixtures("no_pictures")]
 
@@ -20,4 +20,4 @@ def test_it_has_a_page_and_its_zero(case, call):
     found = results.table("parameters").set_index("parameter")
     for name, true, most in (("zero", 0.03, 0.002), ("ecc", 0.02, 0.003)):
         assert abs(np.degrees(found.loc[name, "mean"]) - true) < most
-    assert (results.table("tau_scale")["tau_scale_um"].diff().dropna() > 0.5).all()
+    assert (results.table("tau_scale")["scale"].diff().dropna() > 0.05).all()

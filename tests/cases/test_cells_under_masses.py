@@ -9,14 +9,14 @@ import pytest
 from studies import run_little
 
 import bayescal as bc
-from bayescal.calibrated.recheck.plan import list_candidates
+from bayescal.calibrated.verify.plan import list_candidates
 from bayescal.files.csv_tables import read_table
 
 GIVEN = ["mass_kg", "at_x_mm", "at_y_mm"]
 
 
 def test_requirements_are_refused_by_a_line_that_ends(case, call):
-    code, _, complaint = call("next", case("cells_under_masses") / "study.toml", "--require", "u=0.1")
+    code, _, complaint = call("next-pose", case("cells_under_masses") / "study.toml", "--require", "u=0.1")
     assert code == 2
     assert complaint.strip().endswith("requirements: found 'u', expected some of none: it has no tool")
 
@@ -28,19 +28,19 @@ def test_uses_take_the_rows_that_calibrated_it(case, call):
     code, complaint, out = run_little(call, folder / "study.toml")
     assert code == 0 or "not everything converged" in complaint
     exported = folder / "exported"
-    assert call("export", out, "--out", exported, "--force")[0] == 0
+    assert call("export", out, "--out", exported, "--allow-unconverged")[0] == 0
     known = read_table(folder / "readings.csv", None).numbers(GIVEN)
     for path in (out, exported):
         _, given = list_candidates(bc.load_calibrated(path, trust=True), 0.9)
         np.testing.assert_allclose(np.column_stack([given[name] for name in GIVEN]), known)
-    code, said, _ = call("recheck", out, "--out", folder / "plan.csv", "--force")
+    code, said, _ = call("verify", out, "--out", folder / "plan.csv", "--allow-unconverged")
     assert code == 0
     assert re.search(r"^[123] poses? a session", said, re.MULTILINE)
     (folder / "loads.csv").write_text("pose,mass_kg,at_x_mm,at_y_mm\nP1,10,0,0\n")
-    assert call("command", exported, folder / "loads.csv", "--force")[0] == 0
-    code, _, complaint = call("predict", exported, folder / "loads.csv", "--force")
+    assert call("compensate", exported, folder / "loads.csv", "--allow-unconverged")[0] == 0
+    code, _, complaint = call("predict", exported, folder / "loads.csv", "--allow-unconverged")
     assert code == 2
-    assert "no coordinates, and so no pose; bayescal command says what its channels read" in complaint
+    assert "no coordinates, and so no pose; bayescal compensate says what its channels read" in complaint
 
 
 def test_a_constructor_without_options_is_named_with_what_it_takes(case, call):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from studies import run_little
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.experiments.shared import estimate
 from bayescal.inference.importance import ImportanceEvidence
 

@@ -7,7 +7,7 @@ import pytest
 from studies import edit, run_little
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.machines.readings import Channel
 
 

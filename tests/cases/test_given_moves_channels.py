@@ -7,7 +7,7 @@ import pytest
 from studies import run_little
 
 import bayescal as bc
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.experiments.study.inputs import StudyInputs
 
 TRUTH = {"centre": 1512.0, "gain": 0.00157}
@@ -17,7 +17,7 @@ def test_the_channel_moves_by_what_is_given(case):
     folder = case("given_moves_channels")
     (variant,) = StudyInputs.load(bc.load_experiment(folder / "study.toml"), folder).variants.values()
     terms = {name: term for term in variant.errors.terms for name in term.names}
-    assert list(terms) == ["tau", "sigma_own", "sigma_smooth", "sigma_drift"]  # the linear one is the gain
+    assert list(terms) == ["tau", "sigma_positioning", "sigma_smooth", "sigma_drift"]  # the linear one is the gain
     own = terms["sigma_smooth"].own
     np.testing.assert_allclose(own.range, 2.0 * 0.0016 * 500.0)  # twice what lies between the middle and an end
 
@@ -48,11 +48,11 @@ def test_the_bend_is_found_and_allowed_for(case, call):
 def test_uses_take_a_machine_of_instruments_alone(case, call):
     folder = case("given_moves_channels")
     _, _, out = run_little(call, folder / "study.toml")
-    assert call("export", out, "--out", folder / "exported", "--force")[0] == 0
+    assert call("export", out, "--out", folder / "exported", "--allow-unconverged")[0] == 0
     assert "pulse_us" in (folder / "exported" / "measured.csv").read_text()
     plan = folder / "plan.csv"
-    assert call("recheck", out, "--out", plan, "--force")[0] == 0
-    assert call("recheck", out, "--measured", folder / "readings.csv", "--force")[0] == 0
-    code, _, complaint = call("command", out, plan, "--force")
+    assert call("verify", out, "--out", plan, "--allow-unconverged")[0] == 0
+    assert call("verify", out, "--measured", folder / "readings.csv", "--allow-unconverged")[0] == 0
+    code, _, complaint = call("compensate", out, plan, "--allow-unconverged")
     assert code == 2
     assert "all its channels are external" in complaint

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.pose_selection.next_pose import learn, learn_all
 
 
@@ -14,15 +14,16 @@ from bayescal.pose_selection.next_pose import learn, learn_all
 def test_endless_measuring_is_not_called_what_helps(case, call):
     folder = case("height_without_reference")
     out = folder / "next"
-    code, _, _ = call("next", folder / "study.toml", "--require", "z=0.05", "--out", out, "--quiet", "--workers", 1)
+    code, _, _ = call(
+        "next-pose", folder / "study.toml", "--require", "z=0.05", "--out", out, "--quiet", "--workers", 1
+    )
     assert code == 0
-    summary = read_results(out).summary
-    assert summary["requirements"]["at_best"] > 0.95
-    assert summary["requirements"]["at_length"] < 0.05
-    assert summary["decision"] == "hopeless"
-    said = " ".join(one["text"] for one in summary["verdict"])
-    assert "another channel or instrument" in said
-    assert "measuring is what helps" not in said
+    results = read_results(out)
+    summary = results.summary
+    assert summary["requirements"]["probability_parameters_known"] > 0.95
+    assert summary["requirements"]["probability_all_candidates"] < 0.05
+    assert summary["decision"] == "infeasible"
+    assert "another channel, instrument" in " ".join(results.table("findings")["action"])
 
 
 def test_measuring_all_is_measuring_one_after_the_other(rng):

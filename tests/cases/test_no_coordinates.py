@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from studies import run_little
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 
 
 def test_it_is_fit_to_run(case, call):
@@ -33,19 +33,19 @@ def test_skew_is_found(case, call):
 
 @pytest.mark.runs
 @pytest.mark.usefixtures("no_pictures")
-def test_an_exported_one_is_rechecked_by_readings_with_their_noise(case, call, tmp_path):
+def test_an_exported_one_is_reverified_by_readings_with_their_noise(case, call, tmp_path):
     """All channels stand beside the machine: an exported one knows no noise of theirs."""
     folder, machine, plan = case("no_coordinates"), tmp_path / "machine", tmp_path / "plan.csv"
     out = run_little(call, folder / "study.toml")[2]
-    assert call("export", out, "--out", machine, "--force")[0] == 0
+    assert call("export", out, "--out", machine, "--allow-unconverged")[0] == 0
     like = folder / "like.csv"
-    planned = ("recheck", machine, "--like", like, "--out", plan)
+    planned = ("verify", machine, "--noise-from", like, "--out", plan)
 
     def refuse(wanted, *words):
         code, _, complaint = call(*words)
         assert (code, complaint.splitlines()[-1].count(wanted), plan.exists()) == (2, 1, False), complaint
 
-    refuse("AC_sd_mm", "recheck", machine, "--out", plan)
+    refuse("AC_sd_mm", "verify", machine, "--out", plan)
     like.write_text((folder / "readings.csv").read_text())
     refuse("AC_sd_mm", *planned)
     like.write_text("pose,AC_mm,AC_sd_mm,BD_mm\n1,140.7,0.05,142.2\n")
@@ -53,6 +53,6 @@ def test_an_exported_one_is_rechecked_by_readings_with_their_noise(case, call, t
     refuse("AD_sd_mm", *planned, "--sensors", "AD")
     like.write_text("pose,AC_mm,AC_sd_mm,BD_mm,BD_sd_mm\n1,140.7,0.05,142.2,0.05\n")
     assert call(*planned)[0] == 0
-    code, said, _ = call("recheck", machine, "--measured", like)
+    code, said, _ = call("verify", machine, "--measured", like)
     assert code == 0
     assert " 1 if it alone" not in said  # no unit where there is none

@@ -25,7 +25,7 @@ def test_gains_are_found_with_the_default_model_error_as_without(case, call, tmp
         assert abs(row["mean"] - truth) < 4.0 * row["sd"] < 0.04  # a smooth error may have a linear part
         assert right["sd"] < row["sd"]
     tool = pd.read_csv(tmp_path / "out" / "tables" / "accuracy.csv", comment="#").set_index("variant")
-    whole = (tool["after"] ** 2 + tool["noise"] ** 2) ** 0.5
+    whole = (tool["posterior_sd"] ** 2 + tool["noise"] ** 2) ** 0.5
     assert (whole["full"].to_numpy() < 1.5 * whole["right"].to_numpy()).all()
     fits = json.loads((tmp_path / "out" / "summary.json").read_text())["variants"]
     assert fits["full"]["log_evidence"] < fits["right"]["log_evidence"]

@@ -15,7 +15,7 @@ from bayescal import cli
 from bayescal.calibrated.predict import predict_poses
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.slip_search import find_slip
@@ -95,8 +95,8 @@ def test_a_wide_tolerance_about_zero_leads_to_the_same_machine(study):
     inputs = read(study, "all")
     own = inputs.variants["all"].plain()
     for one in (stated, own):
-        np.testing.assert_allclose(one.theta(one.approach()[None])[0, -6:-3], FRAME_MM, atol=5.0)
-    first, second = (one.theta(one.approach()[None])[0] for one in (stated, own))
+        np.testing.assert_allclose(one.theta(one.least_squares_start()[None])[0, -6:-3], FRAME_MM, atol=5.0)
+    first, second = (one.theta(one.least_squares_start()[None])[0] for one in (stated, own))
     assert np.abs(first - second)[:-6].max() < 0.5
     assert own.priors["tracker_frame[1]"].mean == 0.0  # as stated
     assert find_slip([inputs.variants["all"].list_readings()]) is None
@@ -155,7 +155,7 @@ def run(tmp_path_factory):
         patched.setattr(sys, "argv", ["bayescal", "run", str(study), "--out", str(folder / "out"), "--workers", "1"])
         with pytest.raises(SystemExit):
             cli.main()
-        return load_calibrated(folder / "out", force=True), folder / "out"
+        return load_calibrated(folder / "out", allow_unconverged=True), folder / "out"
 
 
 @pytest.mark.runs
@@ -189,19 +189,19 @@ def write_session(calibrated, path, rng, shift_arcsec, symbol="theta0[2]"):
 
 
 @pytest.mark.runs
-def test_a_recheck_reads_the_instrument(run, call, tmp_path, rng):
+def test_a_reverification_reads_the_instrument(run, call, tmp_path, rng):
     _, out = run
-    calibrated = load_calibrated(out, force=True, with_instruments=True)
+    calibrated = load_calibrated(out, allow_unconverged=True, with_instruments=True)
     assert "tracker[x]" in calibrated.model.names
     assert "tracker_frame[1]" in calibrated.names
     write_session(calibrated, tmp_path / "moved.csv", rng, 103.0)
     write_session(calibrated, tmp_path / "same.csv", rng, 0.0)
-    asked = ("recheck", out, "--force", "--sessions", 1, "--shift-of", "theta0", "--measured")
+    asked = ("verify", out, "--allow-unconverged", "--sessions", 1, "--parameters", "theta0", "--measured")
     code, said, error = call(*asked, tmp_path / "moved.csv")
     assert code == 0, error
     size, sd = map(float, re.search(r"theta0\[2\] shifted by ([+-][\d.]+) ± ([\d.]+) arcsec", said).groups())
     assert abs(size - 103.0) < 3.5 * sd < 100.0
     assert "holds" in call(*asked, tmp_path / "same.csv")[1]
-    code, plan, error = call("recheck", out, "--force", "--shift-of", "theta0", "--shift-arcsec", 100)
+    code, plan, error = call("verify", out, "--allow-unconverged", "--parameters", "theta0", "--shift-arcsec", 100)
     assert code == 0, error
     assert "theta_1_deg" in plan  # as the data have it

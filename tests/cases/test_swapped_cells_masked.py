@@ -16,7 +16,7 @@ def test_the_cells_are_named(case, call, study):
 
 def test_who_looked_may_deny_it(case, call):
     study = case("swapped_cells_masked") / "study.toml"
-    study.write_text(f'denied_slips = ["rows"]\n{study.read_text()}')
+    study.write_text(f'ignored_data_errors = ["rows"]\n{study.read_text()}')
     code, out, _ = call("validate", study)
     assert code == 0
     assert ROWS in out

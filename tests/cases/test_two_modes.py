@@ -77,7 +77,7 @@ def test_each_solution_is_a_machine_with_a_probability(results, call, tmp_path):
         assert machine.sd[b] < 0.05
         assert machine.draws.std(axis=0).max() < 0.05
     (tmp_path / "commands.csv").write_text("pose,s_mm\nP,3.0\n")
-    for words in (("predict", results, tmp_path / "commands.csv"), ("recheck", results), ("certificate", results)):
+    for words in (("predict", results, tmp_path / "commands.csv"), ("verify", results), ("certificate", results)):
         assert call(*words)[0] == 2
     assert call("predict", results, tmp_path / "commands.csv", "--mode", 2)[0] == 0
 

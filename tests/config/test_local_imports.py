@@ -1,4 +1,4 @@
-"""What a class's file imports from beside itself belongs to it: found, hashed, taken anew when changed, sent on."""
+"""What a class's file imports from beside itself belongs to it: found, hashed, taken again when changed, sent on."""
 
 import subprocess
 import sys

@@ -13,7 +13,7 @@ from bayescal.machines.read import load_mechanism
 M2 = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
 TELESCOPE = studies.TELESCOPE / "mechanism.toml"
 HOME = "[home]\nposition_mm = [0.0, 0.0, -703.0]\n"
-STRUT = 'drive = "strut"'
+STRUT = 'actuated_joint = "strut"'
 
 
 def test_lengths_of_struts_are_given_or_follow_from_home(tmp_path):
@@ -38,17 +38,21 @@ def test_drive_of_the_telescope_is_at_the_base():
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("position_mm = [0.0, 0.0, -703.0]", "", "line 29: home: expected either position_mm, or platform or near_mm"),
+        (
+            "position_mm = [0.0, 0.0, -703.0]",
+            "",
+            "line 29: home: expected either position_mm, or platform or initial_guess_mm",
+        ),
         (HOME, '[home]\nplatform = "below"\n', "line 32: legs.length_mm: missing, expected a value or [home] with pos"),
         (
             HOME,
             '[home]\nplatform = "besides"\n',
             "line 30: home.platform: found 'besides', expected 'above' or",
         ),
-        (STRUT, f"{STRUT}\ndirection = [0.0, 0.0, 1.0]", "line 32: legs: found direction with drive 'strut', expected"),
+        (STRUT, f"{STRUT}\ndirection = [0.0, 0.0, 1.0]", "line 32: legs: found direction with actuated_joint 'strut'"),
         (STRUT, f"{STRUT}\nlength_mm = 493.0", "line 32: legs.length_mm: found lengths beside [home], expected one of"),
         (HOME, "", "line 30: legs.length_mm: missing, expected a value or [home]"),
-        (STRUT, 'drive = "strat"', "line 33: legs.drive: found 'strat', expected 'base' or 'strut'"),
+        (STRUT, 'actuated_joint = "strat"', "line 33: legs.actuated_joint: found 'strat', expected 'base' or 'strut'"),
         (STRUT, f"{STRUT}\ninitial_actuator_position_mm = [1, 2]", "legs.initial_actuator_position_mm: found 2 legs"),
         ("position_mm = [0.0, ", "position_mm = [", "line 30: home.position_mm: found [0.0, -703.0], expected: list"),
         ("position_mm", "position", "line 30: home.position: unknown key, did you mean 'position_mm'?"),

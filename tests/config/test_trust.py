@@ -43,8 +43,8 @@ COMMANDS = {
     "validate": ["validate", "{config}"],
     "show": ["show", "{machine}"],
     "run": ["run", "{config}", "--out", "{out}"],
-    "check": ["check", "{config}", "--out", "{out}"],
-    "next": ["next", "{config}", "--out", "{out}"],
+    "selftest": ["selftest", "{config}", "--out", "{out}"],
+    "next-pose": ["next-pose", "{config}", "--out", "{out}"],
 }
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from bayescal.density.components import LinearGeometry, LinearRows, leave_out, square_whole, weigh, weigh_left_out
-from bayescal.density.few_columns import Interpolated, LowRankComponents, leave_out_by, weigh_by
-from bayescal.density.sorts import OWN_COLUMNS, SORTS, Place, PoseFunctions
+from bayescal.density.components import LinearGeometry, LinearRows
+from bayescal.density.low_rank_covariance import Interpolated, LowRankCovariance
+from bayescal.density.pose_kernels import OWN_COLUMNS, POSE_KERNELS, KernelInput, PoseFunctions
 from bayescal.errors import InputError
 
 P, N, LEGS, A = 7, 3, 2, 4
@@ -28,7 +28,7 @@ def few():
     known = rng.standard_normal((P, N, N))
     known = np.eye(N) + known @ np.swapaxes(known, -1, -2)
     blocks = np.einsum("pki,pli->ipkl", shown, shown)
-    return LowRankComponents(known, blocks, shown, basis, np.array([0, 1, 1, 1]), np.array([0.0, 0.3]))
+    return LowRankCovariance(known, blocks, shown, basis, np.array([0, 1, 1, 1]), np.array([0.0, 0.3]))
 
 
 def plain(few, variances):
@@ -51,28 +51,23 @@ def test_rows_have_the_normal_density_of_the_sum(few, variances):
     every = np.stack([plain(few, one) for one in several])
     expected = [multivariate_normal.logpdf(row, cov=one) + P * TWO_PI for row, one in zip(rows, every, strict=True)]
     close = {"rel": 1e-9, "abs": 1e-10}
-    assert weigh(every.copy(), rows) == pytest.approx(expected, **close)
     assert few.weigh(several, rows) == pytest.approx(expected, **close)
     thin, square = few.factorise(variances), slopes.T @ np.linalg.solve(every[0], slopes)
-    assert weigh_by(thin, rows[0]) == pytest.approx(expected[0], **close)
-    assert thin.solve(slopes) == pytest.approx(np.linalg.solve(every[0], slopes), **close)
-    assert thin.square(slopes) == pytest.approx(square, **close)
-    for found, half_log_det in (few.square(slopes)(variances), square_whole(every[0].copy(), slopes)):
+    assert thin.weigh(rows[0]) == pytest.approx(expected[0], **close)
+    for found, half_log_det in (few.square(slopes)(variances), thin.square(slopes)):
         assert found == pytest.approx(square, **close)
         assert half_log_det == pytest.approx(0.5 * np.linalg.slogdet(every[0])[1], **close)
 
 
 def test_each_pose_given_all_others(few):
     whole, row = plain(few, UNEQUAL), np.random.default_rng(3).standard_normal(P * N)
-    by_columns = leave_out_by(few.factorise(UNEQUAL), row)
-    ways = [leave_out(whole[None].copy(), row[None], P), tuple(one[None] for one in by_columns)]
-    for density in (weigh_left_out(*one) for one in ways):
-        for pose in range(P):
-            mine, rest = np.split(np.roll(np.arange(P * N), -pose * N), [N])
-            given = whole[np.ix_(mine, rest)] @ np.linalg.inv(whole[np.ix_(rest, rest)])
-            left, off = whole[np.ix_(mine, mine)] - given @ whole[np.ix_(rest, mine)], row[mine] - given @ row[rest]
-            expected = multivariate_normal.logpdf(off, cov=left) + TWO_PI
-            assert density[0, pose] == pytest.approx(expected, rel=1e-9)
+    density = few.factorise(UNEQUAL).weigh_left_out(row)
+    for pose in range(P):
+        mine, rest = np.split(np.roll(np.arange(P * N), -pose * N), [N])
+        given = whole[np.ix_(mine, rest)] @ np.linalg.inv(whole[np.ix_(rest, rest)])
+        left, off = whole[np.ix_(mine, mine)] - given @ whole[np.ix_(rest, mine)], row[mine] - given @ row[rest]
+        expected = multivariate_normal.logpdf(off, cov=left) + TWO_PI
+        assert density[pose] == pytest.approx(expected, rel=1e-9)
 
 
 def test_coefficients_given_rows_are_those_of_the_joint_normal(few):
@@ -80,9 +75,10 @@ def test_coefficients_given_rows_are_those_of_the_joint_normal(few):
     columns = np.einsum("pki,ipa->pkia", few.shown, few.basis * sd).reshape(P * N, -1)
     across = np.tile(sd, LEGS)[:, None] * np.linalg.solve(plain(few, EQUAL), columns).T
     thin = few.factorise(EQUAL)
-    assert thin.expect(row[:, None])[:, 0] == pytest.approx(across @ row, rel=1e-9, abs=1e-12)
+    scale, found = thin.scale[:, None], thin.given(row[:, None])
+    assert (scale * found.mean)[:, 0] == pytest.approx(across @ row, rel=1e-9, abs=1e-12)
     expected = np.diag(np.tile(sd**2, LEGS)) - across @ columns * np.tile(sd, LEGS)
-    assert thin.root @ thin.root.T == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert scale * found.covariance * scale.T == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_geometry_given_the_errors_is_that_of_the_joint_normal(few):
@@ -122,32 +118,32 @@ def test_sums_over_rows_are_interpolated_without_loss():
 
 def spread_places(n, seed=5):
     rng = np.random.default_rng(seed)
-    return Place(rng.uniform(-0.5, 0.5, (n, 6)), np.arange(n) / n)
+    return KernelInput(rng.uniform(-0.5, 0.5, (n, 6)), np.arange(n) / n)
 
 
 def test_few_columns_leave_little_out():
     place, other = spread_places(400), spread_places(30, 6)
-    exact = PoseFunctions(tuple(SORTS), place)
+    exact = PoseFunctions(tuple(POSE_KERNELS), place)
     few = replace(exact, of_few=place)
     sizes = [one.shape[-1] for one in few.list_bases(other)]
     assert sizes == [6, OWN_COLUMNS, 30, 12]
     assert few.left[:2] == pytest.approx(0.0, abs=1e-4)
     assert 0.01 < few.left[2] < 0.03
     assert few.left[3] == pytest.approx(1.0 / (np.pi**2 * 11) / 0.52, rel=0.1)  # tail of Σ 1 / ω² over the mean of k
-    for name, whole, made in zip(SORTS, exact.between(other, place), few.between(other, place), strict=True):
+    for name, whole, made in zip(POSE_KERNELS, exact.between(other, place), few.between(other, place), strict=True):
         off = np.abs(whole - made).max()
-        assert off < ({"linear": 1e-12, "own": 1e-3}.get(name, 0.15)), name
+        assert off < ({"linear": 1e-12, "positioning": 1e-3}.get(name, 0.15)), name
 
 
 def test_norms_take_no_matrix_of_all_poses():
     place = spread_places(40_000)
     tracemalloc.start()
-    norms = PoseFunctions(tuple(SORTS), place).norms
+    norms = PoseFunctions(tuple(POSE_KERNELS), place).norms
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3e7
-    some = Place(place.travel[:2000], place.time[::20])
-    kernels = [SORTS[name].between(some, some) for name in SORTS]
+    some = KernelInput(place.travel[:2000], place.time[::20])
+    kernels = [POSE_KERNELS[name].between(some, some) for name in POSE_KERNELS]
     expected = [np.diagonal(one, axis1=1, axis2=2).mean() for one in kernels]
     assert norms == pytest.approx(expected, rel=0.03)
 

@@ -16,9 +16,9 @@ from frozen_densities import ROOT
 from scipy.stats import multivariate_normal
 from shares import run_rest
 
-from bayescal.density.calibration.terms import Errors
-from bayescal.density.sorts import WAVE
-from bayescal.experiments.frame.load import load
+from bayescal.density.calibration.terms import ErrorModel
+from bayescal.density.pose_kernels import WAVE
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.machines.deformations import MatrixDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -148,7 +148,7 @@ def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
     terms = list_matrix_terms(machine, poses, covariance, with_poses)
     legs = machines.let_err(0.01)
     zeta = legs.priors[0].standardise(TAU)
-    found = evaluate(machine, theta, poses, Errors((*legs.terms, *terms)), zeta)
+    found = evaluate(machine, theta, poses, ErrorModel((*legs.terms, *terms)), zeta)
     by_entry = differentiate_by_matrix(machine, theta, poses.actuators)[:, REST]
     error, alone = find_error(machine, theta, poses).ravel(), spread_out(reference_covariance(machine, theta, poses))
     # the error in the prediction is that of the known K, measured minus predicted has the opposite one
@@ -164,8 +164,8 @@ def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
 def test_functions_of_the_pose_move_the_platform_as_legs_do(model, deformation):
     """The covariance of all poses at once: linear in all actuators and in the own one, by a scale and norm each."""
     machine, theta, poses, _ = draw_setup(model, deformation, 3)
-    terms = machines.let_functions_err(machine, poses, ("linear", "own"))
-    errors = Errors((*machines.let_err(0.01).terms, *terms))
+    terms = machines.let_functions_err(machine, poses, ("linear", "positioning"))
+    errors = ErrorModel((*machines.let_err(0.01).terms, *terms))
     sizes = [7e-3, 4e-3]
     zeta = np.append(
         errors.priors[0].standardise(TAU),
@@ -209,7 +209,7 @@ def test_shipped_densities_are_what_they_were(study):
     config = config.model_copy(update={"variants": [one for one in config.variants if one.name in names]})
     inputs, frozen = read_inputs(config, path.parent), read_exact()
     for name in names:
-        posterior, at = inputs.variants[name].posterior().anchored(), f"{study}/{name}"
+        posterior, at = inputs.variants[name].posterior().with_pose_guesses(), f"{study}/{name}"
         theta = np.tile(posterior.likelihood.layout.nominal, (8, 1))
         theta[:, frozen[f"{at}/free"]] += frozen[f"{at}/change"]
         zeta, exact = frozen[f"{at}/zeta"], frozen[f"{at}/exact"]

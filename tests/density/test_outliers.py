@@ -172,7 +172,7 @@ def spoil(poses, rng):
 
 
 def build(poses, outliers=NORMAL):
-    return machines.build_posterior("matrix", poses, machines.let_err(outliers=outliers)).anchored()
+    return machines.build_posterior("matrix", poses, machines.let_err(outliers=outliers)).with_pose_guesses()
 
 
 def suspect(poses, rng):

@@ -18,7 +18,7 @@ from sliding_platforms import SETS
 from bayescal.density.outliers import NORMAL, Contaminated, StudentT
 from bayescal.density.priors import NormalPrior, SharePrior, UniformPrior
 from bayescal.inference.mode import Mode, find_mode
-from bayescal.inference.straightening import straighten
+from bayescal.inference.reparameterisation import straighten
 
 PER_LEG, SHARED, NONE = machines.let_err(), machines.let_err(shared=True), machines.let_err(None)
 ALL_SYMBOLS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "u_x", "u_y", "l", "rho0", "kappa")
@@ -34,13 +34,13 @@ def legs(rng, deformation="linear", errors=PER_LEG, symbols=None, outliers=NORMA
     found = machines.build_posterior(deformation, poses, replace(errors, outliers=outliers), symbols)
     if uniform:
         found = replace(found, priors={**found.priors, "l[2]": UniformPrior(499.0, 502.0)})
-    return found.anchored() if anchored else found
+    return found.with_pose_guesses() if anchored else found
 
 
 def lines(rng, anchored=True, **case):
     """Return the posterior of a point on lines."""
     found = lines_posterior(rng, **case)[0]
-    return found.anchored() if anchored else found
+    return found.with_pose_guesses() if anchored else found
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def problem(request):
     """Return each case at a point one standard deviation or so from its best machine."""
     rng = np.random.default_rng(8096)
     posterior = request.param.build(rng, **request.param.options)
-    mode = find_mode(posterior, posterior.polish(posterior.approach()))
+    mode = find_mode(posterior, posterior.refine_geometry(posterior.least_squares_start()))
     y = mode.y + np.linalg.cholesky(mode.covariance) @ rng.standard_normal(len(mode.y))
     return Problem(request.param, posterior, y, mode)
 
@@ -139,7 +139,7 @@ def test_machines_and_coordinates_lead_to_each_other(problem):
     posterior, y, m = problem.posterior, problem.y, problem.posterior.n_geometry
     theta = posterior.theta(y[None])
     np.testing.assert_allclose(posterior.sampling.y_from_theta(theta)[0], y[:m], atol=1e-7)
-    np.testing.assert_allclose(posterior.adopt(theta, posterior.zeta(y[None]))[0], y, atol=1e-7)
+    np.testing.assert_allclose(posterior.to_coordinates(theta, posterior.zeta(y[None]))[0], y, atol=1e-7)
     expected = machines.stencil_derivative(posterior.sampling.theta_from_y, y[:m], np.full(m, 1e-3))
     scale = np.abs(expected).max(axis=0)
     np.testing.assert_allclose(posterior.sampling.jacobian(theta[0]) / scale, expected / scale, atol=1e-6)
@@ -185,10 +185,10 @@ def test_information_is_the_geometrys_curvature_and_that_of_the_rows(problem):
 
 def test_jumps_lead_back(problem):
     posterior, y = problem.posterior, problem.y
-    for jump, image in posterior.jumps(y):
+    for jump, image in posterior.mode_candidates(y):
         assert not np.allclose(image, y)
-        again = dict(posterior.jumps(image))[jump]  # but for how large an error is, which being off forgets
-        np.testing.assert_allclose(dict(posterior.jumps(again))[jump], image, atol=1e-6)
+        again = dict(posterior.mode_candidates(image))[jump]  # but for how large an error is, which being off forgets
+        np.testing.assert_allclose(dict(posterior.mode_candidates(again))[jump], image, atol=1e-6)
         np.testing.assert_allclose(np.where(np.isclose(again, 0.0), y, again), y, atol=1e-6)
 
 

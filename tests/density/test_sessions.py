@@ -13,12 +13,12 @@ from scipy.stats import multivariate_normal
 
 from bayescal.density.sessions import (
     DAYS_IN_MONTH,
-    Drift,
-    Expansion,
+    DriftModel,
     LinearSessions,
     Part,
     ReadingRows,
     SessionModel,
+    ThermalExpansion,
     walk_loadings,
 )
 
@@ -34,7 +34,7 @@ CASES = {
 @pytest.fixture(params=CASES)
 def rows(request, rng):
     posterior, y, _ = problems.lines_posterior(rng, 15, **CASES[request.param])
-    return ReadingRows(posterior.anchored()), posterior.theta(y[None])[0]
+    return ReadingRows(posterior.with_pose_guesses()), posterior.theta(y[None])[0]
 
 
 def test_the_density_of_the_rows_is_that_of_the_readings(rows, rng):
@@ -51,7 +51,7 @@ def test_the_density_of_the_rows_is_that_of_the_readings(rows, rng):
 
 def test_correlated_noise_counts(rng):
     posterior, y, _ = problems.lines_posterior(rng, 12, correlation=problems.correlation_of(rng, 4))
-    rows = ReadingRows(posterior.anchored())
+    rows = ReadingRows(posterior.with_pose_guesses())
     theta = posterior.theta(y[None])[0]
     found = rows.linearise(theta)
     np.testing.assert_allclose(found.covariance(np.empty(0)), np.broadcast_to(np.eye(2), (12, 2, 2)), atol=1e-9)
@@ -74,7 +74,7 @@ def test_slopes_are_those_of_the_squares(rows):
 
 def test_some_rows_are_those_rows(rng):
     posterior, y, _ = problems.lines_posterior(rng, 10)
-    anchored = posterior.anchored()
+    anchored = posterior.with_pose_guesses()
     theta, some = posterior.theta(y[None])[0], np.array([1, 4, 7])
     whole = ReadingRows(anchored).linearise(theta)
     part = ReadingRows(replace(anchored, likelihood=anchored.likelihood.pick(some))).linearise(theta)
@@ -87,8 +87,8 @@ N_LEGS, FREE, POSES = 3, 4, (2, 3, 2)
 
 def build_model(loadings: np.ndarray, parts: tuple = ()) -> SessionModel:
     """Return three sessions of a made-up machine of five parameters, four of them free, two of which move."""
-    drift = Drift(loadings, np.array([0, 2]), np.array([0, 1]), ("p", "q"), np.full(2, 0.5))
-    expansion = Expansion("struts", np.array([1, 3]), 0.2, 0.1)
+    drift = DriftModel(loadings, np.array([0, 2]), np.array([0, 1]), ("p", "q"), np.full(2, 0.5))
+    expansion = ThermalExpansion("struts", np.array([1, 3]), 0.2, 0.1)
     start, free = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0, 1, 3, 4])
     mean, sd = np.array([1.1, 2.2, 3.9, 5.2]), np.array([0.5, 0.2, 0.3, 1.0])
     moves = np.eye(len(start))[free]
@@ -141,8 +141,8 @@ def check_against_all_rows(linear, tau, scales, c, jacobian, covariance, rng) ->
     total = covariance + jacobian @ jacobian.T
     assert found.log_marginal == pytest.approx(multivariate_normal(cov=total).logpdf(c), rel=1e-10)
     gain = jacobian.T @ np.linalg.inv(total)
-    np.testing.assert_allclose(found.mean, -gain @ c, atol=1e-10)
-    spread = found.draw(np.eye(size)) - found.mean[:, None]
+    np.testing.assert_allclose(found.mean[:, 0], -gain @ c, atol=1e-10)
+    spread = found.draw(np.eye(size)) - found.mean
     np.testing.assert_allclose(spread @ spread.T, np.eye(size) - gain @ jacobian, atol=1e-10)
     z = rng.normal(size=size)
     seen = multivariate_normal(cov=covariance).logpdf(c + jacobian @ z)

@@ -9,8 +9,8 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import Legs
 
@@ -45,7 +45,7 @@ def test_audit_runs_tiny(tmp_path):
     folder.mkdir()
     for file in ("mechanism.toml", "calibration_configurations.csv"):
         (folder / file).write_text((HEXAGLIDE / file).read_text())
-    text = shorten((HEXAGLIDE / "audit.toml").read_text(), simulated_calibrations=4, expected_over_draws=3)
+    text = shorten((HEXAGLIDE / "audit.toml").read_text(), n_simulated_calibrations=4, n_prior_draws=3)
     path = folder / "audit.toml"
     path.write_text(text + "\n[sweep]\nnoise = [1.0]\nposes = [30]\nworkspace = [1.0]\n")
     run_experiment(load_experiment(path), folder, tmp_path / "out", workers=1)

@@ -28,7 +28,7 @@ import numpy as np
 
 from bayescal import cli
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import PROVENANCE_FILE, check_results
+from bayescal.experiments.runner.results import PROVENANCE_FILE, check_results
 from bayescal.files.manifest import MANIFEST, add_others
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)

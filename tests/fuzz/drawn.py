@@ -30,7 +30,7 @@ EFFORT = {
     "next": {"candidates": 20},
 }
 SHAPES = ("plain", "scaled", "distance", "sine", "product")
-TERMS: tuple[Any, ...] = (None, [], ["independent"], ["independent", "own"], ["independent", "linear", "drift"])
+TERMS: tuple[Any, ...] = (None, [], ["random"], ["random", "positioning"], ["random", "linear", "drift"])
 """Of the model error; None for the default."""
 SPOILT = ("no influence", "a sum", "not seen", "equal columns", "wrong sign", "scale slip", "exchanged cells", "tight")
 """What may be wrong with a machine or its data."""
@@ -241,7 +241,7 @@ def draw_study(drawn: Drawn, noise: dict[str, float], n_rows: int, has_gaps: boo
         sensors[name] = {key: 0.0 if zero else round_off(noise[name] * keys[key], 1)}
     own = [name for name, _, external in drawn.channels if not external]
     if len(own) == len(drawn.coordinates) > 0 and not has_gaps and drawn.chance(0.3):
-        data["commanded"] = own
+        data["commanded_channels"] = own
     parameters = {}
     for name, (_, unit, sd) in drawn.blocks.items():
         width = round_off(DEGREES * sd if unit == "rad" else sd)
@@ -250,7 +250,7 @@ def draw_study(drawn: Drawn, noise: dict[str, float], n_rows: int, has_gaps: boo
     if len(parameters) > 1 and drawn.chance(0.4):
         variants.append({"name": "fewer", "free": list(parameters)[: len(parameters) // 2]})
     if drawn.chance(0.2):
-        variants.append({"name": "wrong_rows", **drawn.pick({"robust": 4.0}, {"outlier_share": 0.1})})
+        variants.append({"name": "wrong_rows", **drawn.pick({"student_t_dof": 4.0}, {"outlier_fraction": 0.1})})
     if drawn.chance(0.2):
         variants.append({"name": "right", "model_error": []})
     study = {
@@ -259,7 +259,7 @@ def draw_study(drawn: Drawn, noise: dict[str, float], n_rows: int, has_gaps: boo
         "title": "A machine that was drawn",
         "seed": 1,
         "machine": "machine.toml",
-        "origin": {"status": "simulated", "text": "drawn"},
+        "provenance": {"status": "simulated", "text": "drawn"},
         "data": [data],
         "sensors": sensors,
         "parameters": parameters,
@@ -272,7 +272,7 @@ def draw_study(drawn: Drawn, noise: dict[str, float], n_rows: int, has_gaps: boo
     if n_rows > 3 and drawn.chance(0.2):
         study["validation"] = {"folds": 2, "draws": 100}
     if drawn.chance(0.2):
-        study["sensitivity"] = {"factor": [0.5, 1.0, 2.0]}
+        study["sensitivity"] = {"prior_width_factors": [0.5, 1.0, 2.0]}
     return study
 
 

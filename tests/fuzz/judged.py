@@ -56,9 +56,9 @@ def judge_call(arguments: list[object], *watched: Path, seconds: float | None = 
     """Call the command line and look for faults.
 
     In the watched folders nothing may have changed after exit code 2, and nothing else than what the call is about
-    after any other: what ``--out`` and ``--draws`` name, with what stands beside it under its name, and directories of
-    results that ``report`` and ``seal`` take. Results that stand there are whole. A call ends within ``seconds`` of the
-    processor, by default within a minute.
+    after any other: what ``--out`` and ``--draws-out`` name, with what stands beside it under its name, and directories
+    of results that ``report`` and ``update-manifest`` take. Results that stand there are whole. A call ends within
+    ``seconds`` of the processor, by default within a minute.
     """
     before = [_list(folder) for folder in watched]
     out, err, code, raised = io.StringIO(), io.StringIO(), 1, ""
@@ -125,8 +125,8 @@ def _find_faults(
 def _is_meant(name: str, arguments: list[object]) -> bool:
     """Whether a call may change a file or directory."""
     given = [str(one) for one in arguments]
-    meant = [given[k + 1] for k, one in enumerate(given[:-1]) if one in ("--out", "--draws")]
-    meant += given[1:2] if given[0] in ("report", "seal") else []
+    meant = [given[k + 1] for k, one in enumerate(given[:-1]) if one in ("--out", "--draws-out")]
+    meant += given[1:2] if given[0] in ("report", "update-manifest") else []
     beside = [f"{Path(one).with_suffix('')}." for one in meant]  # a certificate's numbers, work in progress
     parents = {str(Path(one).parent) for one in meant}
     return name in parents or name.startswith((*meant, *beside))

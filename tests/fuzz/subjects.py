@@ -17,7 +17,7 @@ import sweeps
 from fuzz.hostile import dump_toml
 from tiny_experiments import copy_tiny
 
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 
 QUICK = {
     "audit/m2_hexapod.toml": False,
@@ -46,16 +46,16 @@ QUICK = {
     "sliding_star/short.toml": True,
     "sliding_star/simulate.toml": True,
     "sweep/sweep.toml": True,
-    "telescope/check.toml": False,
-    "telescope/next.toml": True,
+    "telescope/selftest.toml": False,
+    "telescope/next_pose.toml": True,
     "telescope/short.toml": False,
     "telescope/simulate.toml": True,
 }
 """Those that are read within half a second, all kinds among them, and whether they are computed in two."""
 DISTURBED = {
     "audit": "audit/telescope_six_pus_matrix.toml",
-    "check": "telescope/check.toml",
-    "next": "telescope/next.toml",
+    "selftest": "telescope/selftest.toml",
+    "next_pose": "telescope/next_pose.toml",
     "selection": "pose_selection/hexapod_i_optimal.toml",
     "sessions": "sessions/sessions.toml",
     "simulation": "own_machine/simulate.toml",
@@ -73,14 +73,15 @@ NEWEST: dict[str, Callable[[Path], Path]] = {
 }
 """Folders of their own, and what writes them."""
 SHORT: dict[str, dict[str, Any]] = {
-    "telescope": {"sensitivity": {"factor": [1.0]}},
-    "m2_hexapod": {"sensitivity": {"factor": [1.0]}},
+    "telescope": {"sensitivity": {"prior_width_factors": [1.0]}},
+    "m2_hexapod": {"sensitivity": {"prior_width_factors": [1.0]}},
     "sliding_star": {"next": {"candidates": 20}},
 }
 CHECK = (
-    'kind = "check"\nname = "check"\ntitle = "A check"\nseed = 1\nstudy = "short.toml"\nvariants = ["six_pus/none"]\n'
+    'kind = "selftest"\nname = "selftest"\ntitle = "A self-test"\nseed = 1\nstudy = "short.toml"\n'
+    'variants = ["six_pus/none"]\n'
 )
-NEXT = """name = "next"
+NEXT = """name = "next_pose"
 title = "The next pose"
 seed = 1
 study = "short.toml"
@@ -120,8 +121,8 @@ def write_subjects(folder: Path) -> list[Path]:
     for name, write in NEWEST.items():
         (root / name).mkdir()
         write(root / name)
-    (root / "telescope" / "check.toml").write_text(CHECK, encoding="utf-8")
-    (root / "telescope" / "next.toml").write_text(NEXT, encoding="utf-8")
+    (root / "telescope" / "selftest.toml").write_text(CHECK, encoding="utf-8")
+    (root / "telescope" / "next_pose.toml").write_text(NEXT, encoding="utf-8")
     for name in ("targets.csv", "actuators.csv"):
         _keep_poses(root / "telescope" / "data" / name)
     experiment = re.compile(r"(?m)^(kind|study) = ")

@@ -42,10 +42,10 @@ from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.predict import predict_poses
 from bayescal.data.actuators import name_actuators
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame import losses
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.load import load, load_experiment
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner import losses
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.load import load, load_experiment
+from bayescal.experiments.runner.results import read_results
 from bayescal.files.manifest import MANIFEST, write_manifest
 from bayescal.numerics.geometry import rotation_vector_from_matrix
 from bayescal.report.page import PAGE
@@ -53,10 +53,25 @@ from bayescal.report.page import PAGE
 ROOT = Path(__file__).parents[2]
 UNDER_WAY = "under_way.txt"
 CUT = "cut: what was read would be computed now"
-WORDS = {"audit": ["audit"], "sweep": ["sweep"], "table": ["table"], "study": ["check", "next", "poses-from-targets"]}
+WORDS = {
+    "audit": ["audit"],
+    "sweep": ["sweep"],
+    "table": ["table"],
+    "study": ["selftest", "next-pose", "poses-from-targets"],
+}
 WORDS["simulation"] = ["show"]
 """Commands beside `run` that take a config, or its machine, by its kind."""
-RESULTS_COMMANDS = ("report", "compare", "export", "predict", "report", "seal", "certificate", "recheck", "command")
+RESULTS_COMMANDS = (
+    "report",
+    "compare",
+    "export",
+    "predict",
+    "report",
+    "update-manifest",
+    "certificate",
+    "verify",
+    "compensate",
+)
 UNTOUCHED = {"init": "reads nothing", "list": "reads nothing", "schema": "reads nothing", "trust": "takes code alone"}
 """Commands that no case calls, and why."""
 WHOLE = tuple(ROOT / "results" / name for name in ("hangprinter", "hexapod_figure10", "pose_extraction", "telescope"))
@@ -71,18 +86,18 @@ MADE = (
     "sliding_star/short.toml",
     "sweep/sweep.toml",
     "rail/table.toml",
-    "telescope/check.toml",
-    "telescope/next.toml",
+    "telescope/selftest.toml",
+    "telescope/next_pose.toml",
     "telescope/short.toml",
     "telescope/simulate.toml",
     "yu2023/table4.toml",
 )
 """Experiments of all kinds, run for their results."""
-NOTES = ("no draws of the posterior", "overlooked by force", "written by an earlier version")
+NOTES = ("no draws of the posterior", "used all the same", "written by an earlier version")
 """What is said beside success of results that lack something."""
 POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 NOISE = ("--position-um", "15", "--orientation-arcsec", "15")
-USES = ("recheck", "predict", "command", "certificate", "plan")
+USES = ("verify", "predict", "compensate", "certificate", "plan")
 
 
 @dataclass(frozen=True)
@@ -201,7 +216,7 @@ def hold_gate(looked: Outcome, ran: Outcome) -> list[str]:
         return [f"validate accepts what run refuses: {ran.err}"]
     if looked.code == 2 and (ran.code != 2 or ran.err not in looked.err.splitlines(keepends=True)):
         return [f"validate refuses with {looked.err!r}, run has {ran.code}: {ran.err!r}"]
-    if frame.LATE in ran.err:
+    if frame.FOUND_LATE in ran.err:
         return [f"validate accepts what is refused when it is computed: {ran.err}"]
     return [] if looked.code in (0, 2, 3) else [f"validate ends with exit code {looked.code}: {looked.err}"]
 
@@ -213,7 +228,7 @@ def try_inputs(ground: Ground, number: int) -> Trial:
         outcomes = look_and_run(subject, folder)
         words = WORDS.get(subject.kind, ())
         for word in words[number // len(QUICK) % 6 :][:1]:  # one of them, or none
-            more = ["--quiet"] if word in ("audit", "sweep", "table", "check", "next") else []
+            more = ["--quiet"] if word in ("audit", "sweep", "table", "selftest", "next-pose") else []
             file = subject.machine if word == "show" else subject.config
             outcomes.append(judge_call([word, file, "--out", folder / word, *more], *outcomes_in(subject)))
     return tell(f"inputs {number}: {said}", outcomes[0].code, outcomes, *hold_gate(*outcomes[:2]))
@@ -274,11 +289,11 @@ def try_results(ground: Ground, number: int) -> Trial:
         said = damage(found, rng)
         more: list[object] = {
             "compare": [source],
-            "export": ["--out", folder / "machines", "--force"],
+            "export": ["--out", folder / "machines", "--allow-unconverged"],
             "certificate": ["--out", folder / "certificate.html", "--poses", 16],
-            "recheck": ["--measured", source / "none.csv"],
+            "verify": ["--measured", source / "none.csv"],
             "predict": [source / "none.csv", "--out", folder / "predicted.csv"],
-            "command": [source / "none.csv", "--out", folder / "commands.csv"],
+            "compensate": [source / "none.csv", "--out", folder / "commands.csv"],
         }.get(command, [])
         outcome = judge_call([command, found, *more], folder)
     return tell(f"results {number}: {command} {source.name}: {said}", outcome.code, [outcome])
@@ -291,10 +306,10 @@ def list_call(use: str, folder: Path) -> list[object]:
     """Return a call with whole files."""
     machine, out = folder / "machine", folder / "out"
     return {
-        "recheck": ["recheck", machine, *NOISE, "--measured", folder / "measured.csv"],
-        "plan": ["recheck", machine, *NOISE, "--shift-um", 5000, "--candidates", folder / "positions.csv"],
-        "predict": ["predict", machine, folder / "positions.csv", "--out", out / "p.csv", "--draws", out / "d.csv"],
-        "command": ["command", machine, folder / "poses.csv", "--out", out / "c.csv"],
+        "verify": ["verify", machine, *NOISE, "--measured", folder / "measured.csv"],
+        "plan": ["verify", machine, *NOISE, "--shift-um", 5000, "--candidates", folder / "positions.csv"],
+        "predict": ["predict", machine, folder / "positions.csv", "--out", out / "p.csv", "--draws-out", out / "d.csv"],
+        "compensate": ["compensate", machine, folder / "poses.csv", "--out", out / "c.csv"],
         "certificate": ["certificate", machine, "--poses", 16, "--out", out / "c.html"],
     }[use]
 
@@ -334,7 +349,7 @@ def try_drawn(ground: Ground, number: int) -> Trial:
         ran = judge_call(call, *where, seconds=DRAWN_SECONDS)
         outcomes, more = [looked, ran], hold_gate(looked, ran)
         if ran.code in (0, 3):
-            for command in (["report", out], ["export", out, "--out", folder / "machines", "--force"]):
+            for command in (["report", out], ["export", out, "--out", folder / "machines", "--allow-unconverged"]):
                 outcomes.append(judge_call(command, *where, seconds=DRAWN_SECONDS))
             more += list_lost(out, ran)
         if outcomes[2:3] and outcomes[2].code:
@@ -392,7 +407,9 @@ SORTS = {
     "inputs": Sort("configs, machines and tables: `validate`, then `run` up to where it computes", 3650, try_inputs),
     "computed": Sort("the same, computed to the end", 250, try_computed),
     "results": Sort("results of every kind: report, compare, export, predict and other uses", 700, try_results),
-    "tables": Sort("tables and files of a calibrated machine: predict, command, certificate, recheck", 400, try_tables),
+    "tables": Sort(
+        "tables and files of a calibrated machine: predict, compensate, certificate, verify", 400, try_tables
+    ),
     "drawn": Sort("drawn machines: `validate`, `run` to the end, `report`, `export`", 300, try_drawn),
     "disturbed": Sort("runs killed, without room, or met by another", N_DISTURBED, try_disturbed),
 }
@@ -419,7 +436,7 @@ def _begin(folder: str) -> None:
     from bayescal.report import page, pictures
 
     for module in (page, pictures):
-        module.render_picture = lambda draw, stacked=True: pictures.Picture(b"not drawn")  # type: ignore[assignment]
+        module.render_picture = lambda draw: pictures.Picture(b"not drawn")  # type: ignore[assignment]
     sys.modules["bayescal.cli.app"]._say = lambda line: None  # type: ignore[attr-defined]
     losses.RAISE_OTHERS = True  # a programming error is a fault, and not the loss of a line
     joblib.cpu_count = frame.cpu_count = lambda: 1  # no processes within these

@@ -15,7 +15,7 @@ from fuzz.judged import judge_refusal
 from pydantic import BaseModel
 
 from bayescal.config.registry import list_references
-from bayescal.experiments.frame.load import find_kind
+from bayescal.experiments.runner.load import find_kind
 from bayescal.limits import LARGEST_SEED
 from bayescal.machines.readings.line_machine import LineMachineConfig
 from bayescal.machines.readings.strut_machine import StrutMachineConfig
@@ -24,16 +24,16 @@ from bayescal.machines.schema import LegsMachineConfig, MechanismConfig, Sliding
 AUDIT, STUDY, SELECTION = "audit/m2_hexapod.toml", "telescope/short.toml", "pose_selection/rr8096_figure14.toml"
 STAR, OWN, TABLE4 = "sika2008/calibrations.toml", "own_machine/study.toml", "yu2023/table4.toml"
 ROWS: dict[str, tuple[str, str, Any, str]] = {
-    "a what-if of 100 GiB": (AUDIT, "what_if", [{"name": "more", "poses_factor": 1e4}], "expected at most 10000"),
+    "a what-if of 100 GiB": (AUDIT, "scenarios", [{"name": "more", "poses_factor": 1e4}], "expected at most 10000"),
     "a factor beyond everything": (
         AUDIT,
-        "what_if",
+        "scenarios",
         [{"name": "x", "noise_factor": 1e9}],
         "expected less than or equal",
     ),
-    "two what-ifs of a name": (AUDIT, "what_if", [{"name": "x"}, {"name": "x"}], "found 'x' twice"),
+    "two what-ifs of a name": (AUDIT, "scenarios", [{"name": "x"}, {"name": "x"}], "found 'x' twice"),
     "a million targets": ("telescope/simulate.toml", "targets.base.0.count", 10**6, "less than or equal to 1000"),
-    "targets on a pad": ("telescope/simulate.toml", "targets.per_pad", 10**9, "less than or equal to 100"),
+    "targets on a pad": ("telescope/simulate.toml", "targets.targets_per_pad", 10**9, "less than or equal to 100"),
     "a million targets of a body": ("rr8096/figure5.toml", "n_targets", [10**6], "less than or equal to 1000"),
     "numbers of targets twice": ("rr8096/figure5.toml", "n_targets", [6, 6], "found 6 twice"),
     "condition of a kilometre": (TABLE4, "study.conditions.0.position_mm", 1e6, "expected less than or equal to 100"),
@@ -65,7 +65,7 @@ ROWS: dict[str, tuple[str, str, Any, str]] = {
     "a criterion twice": (SELECTION, "selections.0.criteria", ["O1", "O1"], "found 'O1' twice"),
     "numbers of poses twice": (SELECTION, "selections.0.n_poses", [14, 14], "found 14 twice"),
     "walkers without end": (STUDY, "sampler.steps", 10**9, "expected less than or equal to 100000"),
-    "factor of the priors": (STUDY, "sensitivity.factor", [1e6], "expected less than or equal to 1000"),
+    "factor of the priors": (STUDY, "sensitivity.prior_width_factors", [1e6], "expected less than or equal to 1000"),
     "drawn machines turned over": (STAR, "machines.guide_turn_deg", [0.0, 200.0], "expected at most 90 in size"),
     "drawn poses turned over": (STAR, "machines.angle_deg", [10.0, 300.0], "expected at most 180 in size"),
 }

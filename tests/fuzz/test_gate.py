@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame import run as frame
+from bayescal.experiments.runner import run as frame
 from bayescal.experiments.simulation.kind import Simulation
 
 SIMULATION = "own_machine/simulate.toml"
@@ -43,7 +43,7 @@ def rewritten(path: Path, content: bytes) -> Iterator[None]:
 
 
 def change_config(content: dict[str, Any], data: st.DataObject) -> None:
-    """Put a value somewhere into a config, or in place of another of its own."""
+    """Put a value somewhere into a config, or instead of another of its own."""
     places = list_places(content)
     *way, last = data.draw(st.sampled_from(places), label="place")
     holder: Any = content
@@ -104,7 +104,7 @@ def test_validate_and_run_have_one_gate_for_many(ground, tmp_path, data):
 
 
 def test_what_there_is_no_memory_for_is_refused_by_both(ground, tmp_path, monkeypatch):
-    monkeypatch.setattr("bayescal.experiments.frame.memory.measure_available", lambda: 1e8)
+    monkeypatch.setattr("bayescal.experiments.runner.memory.measure_available", lambda: 1e8)
     monkeypatch.setattr(frame, "cpu_count", lambda: 1)  # as many processes as `run` is given here
     looked, ran = look_and_run(ground.subjects["own_machine/study.toml"], tmp_path)
     assert (looked.code, ran.code, looked.err.count("\n")) == (2, 2, 1)
@@ -121,7 +121,7 @@ def test_code_that_results_cannot_keep_is_refused_before_computing(code, ground,
     (folder / "mine" / "block.py").write_text(block + "# another\n")
     blocks = ["block.py:Mine", "mine/block.py:Mine"] if code == "two files of a name" else ["absent.py:Mine"]
     config = folder / "blocks.toml"
-    config.write_text(f"blocks = {blocks}\n" + (folder / "sweep.toml").read_text())
+    config.write_text(f"page_sections = {blocks}\n" + (folder / "sweep.toml").read_text())
     looked, ran = judge_call(["validate", config]), judge_call(["run", config, "--out", tmp_path / "out", "--quiet"])
     assert (looked.code, ran.code) == (2, 2)
     assert looked.err == ran.err
@@ -146,7 +146,7 @@ def test_what_is_refused_late_fails_and_leaves_nothing(ground, tmp_path, monkeyp
     call = ["run", ground.root / SIMULATION, "--out", tmp_path / "a" / "out", "--quiet"]
     outcome = judge_call(call, tmp_path)
     assert (outcome.code, outcome.faults) == (3, ())
-    assert f"found something late ({frame.LATE})" in outcome.err
+    assert f"found something late ({frame.FOUND_LATE})" in outcome.err
     assert list(tmp_path.iterdir()) == []
 
 

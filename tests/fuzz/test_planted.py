@@ -18,8 +18,8 @@ from fuzz.disturbed import Stage
 from fuzz.judged import judge_call
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.store import Store
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.store import Store
 from bayescal.experiments.simulation.kind import Simulation
 from bayescal.experiments.study.kind import Study
 
@@ -51,7 +51,7 @@ def test_a_file_written_by_a_refused_call_is_found(simulation, tmp_path, monkeyp
 
 
 def test_a_file_written_beside_the_results_is_found(simulation, tmp_path, monkeypatch):
-    monkeypatch.setattr(Simulation, "doubt", lambda *_: [str((tmp_path / "here.txt").write_text("written"))])
+    monkeypatch.setattr(Simulation, "list_warnings", lambda *_: [str((tmp_path / "here.txt").write_text("written"))])
     (fault,) = judge_call(["validate", simulation], tmp_path).faults
     assert "exit code 0, but" in fault
 
@@ -65,14 +65,14 @@ def test_two_lines_for_one_fault_are_found(simulation, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("where", ["looking", "running"])
 def test_a_gate_that_is_not_the_same_for_both_is_found(where, ground, tmp_path, monkeypatch):
-    admit = frame.admit
+    admit = frame.prepare_run
 
     def refuse(config, folder, workers):
         if (where == "looking") == (workers > 1):
             raise InputError("planted")
         return admit(config, folder, workers)
 
-    monkeypatch.setattr(frame, "admit", refuse)
+    monkeypatch.setattr(frame, "prepare_run", refuse)
     monkeypatch.setattr(frame, "cpu_count", lambda: 2)
     with suite.cutting():
         looked, ran = suite.look_and_run(ground.subjects[STUDY], tmp_path)

@@ -14,8 +14,8 @@ from fuzz.hostile import dump_toml
 from fuzz.judged import judge_call, judge_refusal
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 
 RESULTS = Path(__file__).parents[2] / "results"

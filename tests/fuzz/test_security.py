@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from fuzz.judged import judge_call, judge_refusal
 
-from bayescal.experiments.frame import run as frame
+from bayescal.experiments.runner import run as frame
 
 pytestmark = pytest.mark.usefixtures("no_pictures")
 
@@ -24,7 +24,20 @@ HOSTILE = (
 )
 PAGES = ("hangprinter", "hexapod_figure10", "pose_extraction", "telescope")
 NAMED = ("title", "text", "platform", "python", "versions", "experiment", "machine", "source")
-KEPT = {"kind", "prior", "of", "model", "deformation", "status", "drive", "setting", "level", "plan", "class", "noise"}
+KEPT = {
+    "kind",
+    "prior",
+    "of",
+    "model",
+    "deformation",
+    "status",
+    "actuated_joint",
+    "setting",
+    "level",
+    "sampling",
+    "class",
+    "noise",
+}
 """Texts that choose something and are no names."""
 
 
@@ -45,7 +58,7 @@ def write_hostile(name: str, folder: Path) -> Path:
         for key in NAMED:
             if key in content:
                 content[key] = poison(content[key], key)
-        for section in ("origin", "beside", "published", "data"):
+        for section in ("provenance", "reference_values", "published_claims", "data"):
             if isinstance(content.get("config"), dict) and section in content["config"]:
                 content["config"][section] = poison_texts(content["config"][section])
         (found / file).write_text(json.dumps(content))
@@ -58,7 +71,7 @@ def write_hostile(name: str, folder: Path) -> Path:
 
 def poison_texts(value: Any) -> Any:
     """Return a section of a config with its free texts made hostile, not those that choose something."""
-    free = {"title", "text", "source", "licence", "origin", "prices"}
+    free = {"title", "text", "source", "licence", "provenance", "costs"}
     if isinstance(value, dict):
         return {name: poison(one, name) if name in free else poison_texts(one) for name, one in value.items()}
     return [poison_texts(one) for one in value] if isinstance(value, list) else value
@@ -112,8 +125,8 @@ def own(tmp_path) -> tuple[Path, Path]:
 def test_own_class_is_refused_on_demand(own, where, monkeypatch):
     config, mark = own
     if where == "environment":
-        monkeypatch.setenv("BAYESCAL_NO_PLUGINS", "1")
-    arguments = {"before": ["--no-plugins", "validate", config], "after": ["validate", config, "--no-plugins"]}
+        monkeypatch.setenv("BAYESCAL_NO_CUSTOM_CODE", "1")
+    arguments = {"before": ["--no-custom-code", "validate", config], "after": ["validate", config, "--no-custom-code"]}
     said = judge_refusal(list(arguments.get(where, ["validate", config])), config.parent)
     assert "found 'linear_delta.py:LinearDelta', which is no built-in one" in said
     assert not mark.exists()
@@ -123,12 +136,12 @@ def test_own_class_is_refused_on_demand(own, where, monkeypatch):
 def test_own_kind_is_refused_on_demand(own, kind):
     config = own[0].with_name("kind.toml")
     config.write_text(f'kind = "{kind}"\nname = "x"\ntitle = "x"\nseed = 1\n')
-    assert "expected one of audit" in judge_refusal(["run", config, "--no-plugins"], config.parent)
+    assert "expected one of audit" in judge_refusal(["run", config, "--no-custom-code"], config.parent)
     assert not own[1].exists()
 
 
 def test_own_class_is_imported_where_the_config_names_it_and_no_plugins_lasts_for_one_call(own):
-    assert judge_call(["validate", own[0], "--no-plugins"]).code == 2
+    assert judge_call(["validate", own[0], "--no-custom-code"]).code == 2
     assert not own[1].exists()
     assert judge_call(["validate", own[0]]).code == 0
     assert own[1].exists()

@@ -45,7 +45,7 @@ def read_small(name):
         for symbol, one in config.parameters.items()
         if isinstance(one, NormalConfig)
     }
-    return problems.read_shipped(name, parameters={**config.parameters, **scaled}).bare()
+    return problems.read_shipped(name, parameters={**config.parameters, **scaled}).without_systematic_errors()
 
 
 def test_a_reduced_set_errs_as_said_in_closed_form():
@@ -86,7 +86,7 @@ def test_a_reduced_set_of_what_is_told_apart_is_right():
 
 def count_kept_of(name, n, shares):
     """Return what machines of a design keep, of limits that are shares of the predicted sd, beside what is claimed."""
-    plan = problems.read_shipped(name).bare()
+    plan = problems.read_shipped(name).without_systematic_errors()
     information, forecast = plan.inform(), plan.forecast()
     arguments = (information, np.random.default_rng(4), ())
     wanted = [
@@ -124,10 +124,12 @@ def test_three_hundred_machines_keep_requirements_as_often_as_claimed(name):
 @pytest.mark.parametrize("recommended", [False, True])
 @pytest.mark.parametrize("name", ["camera_hexapod", "m2_hexapod"])
 def test_two_hundred_audited_calibrations_are_as_accurate_as_predicted(name, recommended):
-    plan = problems.read_shipped(name).bare()
+    plan = problems.read_shipped(name).without_systematic_errors()
     if recommended:
         free = [plan.names[k] for k in select_parameters(plan.inform(), plan.symbols, plan.frames).free]
-        plan = plan.replan(plan.maker.plan(plan.config.poses), plan.section.model_copy(update={"free": free})).bare()
+        plan = plan.replan(
+            plan.maker.plan(plan.config.poses), plan.section.model_copy(update={"free": free})
+        ).without_systematic_errors()
     simulated, _ = plan.simulate(200, np.random.default_rng(1), list(range(len(plan.names))))
     check_accuracy(simulated, plan.inform().covariance)
     averaged = compare_with_prediction(simulated, plan.average(200, np.random.default_rng(2)))

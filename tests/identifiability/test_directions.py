@@ -13,7 +13,7 @@ from bayescal.identifiability.reading_rows import see
 from bayescal.identifiability.ridges import describe_ridges
 from bayescal.identifiability.selection import select_parameters
 from bayescal.identifiability.structure import find_structural_rank
-from bayescal.limits import INFORMED
+from bayescal.limits import IDENTIFIABLE_CONTRACTION
 from bayescal.machines.kinematics import compute_home_legs
 from bayescal.numerics.units import Units
 
@@ -78,10 +78,13 @@ def test_selected_parameters_are_identifiable_together_and_no_symbol_more():
         return 1.0 - np.diagonal(np.linalg.inv(part + np.eye(len(free)))).max()
 
     free = list(selection.free)
-    assert least(free) >= INFORMED
+    assert least(free) >= IDENTIFIABLE_CONTRACTION
     for symbol in {problems.list_symbols(knowledge)[k] for k in selection.fixed}:
-        assert least(free + [k for k, s in enumerate(problems.list_symbols(knowledge)) if s == symbol]) < INFORMED
-    assert least(free + list(selection.extra)) >= INFORMED
+        assert (
+            least(free + [k for k, s in enumerate(problems.list_symbols(knowledge)) if s == symbol])
+            < IDENTIFIABLE_CONTRACTION
+        )
+    assert least(free + list(selection.extra)) >= IDENTIFIABLE_CONTRACTION
 
 
 def test_a_tolerance_decides_between_two_that_stand_for_each_other():
@@ -100,7 +103,7 @@ def test_there_are_as_many_directions_as_parameters_and_they_span_the_space():
         vectors = np.stack([d.vector for d in directions if d.kind != "informed"], axis=1)
         assert np.linalg.matrix_rank(vectors, tol=1e-3) == vectors.shape[1]
         for d in directions:
-            assert (d.contraction >= INFORMED) == (d.kind == "informed")
+            assert (d.contraction >= IDENTIFIABLE_CONTRACTION) == (d.kind == "informed")
 
 
 def test_lengths_along_a_leg():

@@ -1,30 +1,30 @@
-"""What unseen errors hide, and the sizes that a study will find, against simulated linear machines and closed forms."""
+"""Bias from unmodelled errors: the part of an error that a posterior attributes to parameters, and reference values."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from bayescal.density.sorts import Place, PoseFunctions
-from bayescal.identifiability.found_sizes import expect_sizes
+from bayescal.density.pose_kernels import KernelInput, PoseFunctions
+from bayescal.identifiability.error_size_information import expect_sizes
 from bayescal.identifiability.hidden import add, choose_unseen, hide
 from bayescal.identifiability.information import information_of_rows, marginalise
 
-SORTS = ("own", "smooth")
+SORTS = ("positioning", "smooth")
 SIZE, NOISE, N, P = 10e-3, 4e-3, 6, 20
 
 
 def build_machine(rng, gain=0.5):
     """A linear machine: white rows by 10 parameters of unit prior and by columns of two sorts of errors."""
     travel = rng.uniform(-0.5, 0.5, (P, N))
-    place = Place(travel, None)
+    place = KernelInput(travel, None)
     bases = [np.broadcast_to(one, (N, *one.shape[1:])) for one in PoseFunctions(SORTS, place, place).list_bases(place)]
     basis = np.concatenate(bases, axis=-1)
     sorts = np.repeat(np.arange(len(SORTS)), [one.shape[-1] for one in bases])
     columns = np.zeros((P, N, N, basis.shape[-1]))
     for leg in range(N):
         columns[:, leg, leg] = basis[leg]
-    gains = np.eye(N)[None] * travel[..., None]  # what `own` errors do, too
+    gains = np.eye(N)[None] * travel[..., None]  # what `positioning` errors do, too
     others = rng.standard_normal((P, N, 4))
     rows = np.concatenate([gain * gains, 0.02 * others], axis=-1).reshape(P * N, -1) / NOISE
     return rows, columns.reshape(P * N, -1) / NOISE, np.tile(sorts, N)
@@ -90,7 +90,7 @@ def test_joint_covariance_is_that_of_twins(rng):
 def test_expected_sizes_are_those_that_twins_are_found_to_have(rng):
     """Means of the sizes over twins, each by its own posterior on a grid, and what is expected of them."""
     rows, columns, sorts = build_machine(rng, gain=0.01)
-    true, scale = {"own": 12e-3, "smooth": 3e-3}, 20e-3
+    true, scale = {"positioning": 12e-3, "smooth": 3e-3}, 20e-3
     expected = expect_sizes(rows, columns, sorts, true, {}, scale)
     _, _, seen = draw_twins(rows, columns, np.array(list(true.values()))[sorts], 60, rng)
     prior = rows @ rows.T + np.eye(len(rows))
@@ -106,15 +106,15 @@ def test_expected_sizes_are_those_that_twins_are_found_to_have(rng):
     found = [np.einsum("ikt,i->t", weight, grid).mean(), np.einsum("ikt,k->t", weight, grid).mean()]
     assert list(expected.values()) == pytest.approx(found, rel=0.15)
     none = expect_sizes(rows, columns, sorts, dict.fromkeys(true, 0.0), {}, scale)
-    assert all(0.0 < none[name] < 0.5 * expected[name] for name in ("own",))
-    floored = expect_sizes(rows, columns, sorts, dict.fromkeys(true, 0.0), {"own": 5e-3}, scale)
-    assert floored["own"] > 5e-3 > none["own"]
+    assert all(0.0 < none[name] < 0.5 * expected[name] for name in ("positioning",))
+    floored = expect_sizes(rows, columns, sorts, dict.fromkeys(true, 0.0), {"positioning": 5e-3}, scale)
+    assert floored["positioning"] > 5e-3 > none["positioning"]
 
 
 def test_unseen_sizes_are_stated_ones_or_shared():
-    assert choose_unseen({"own": 3e-3, "linear": 1e-3}, ["own", "drift"]) == {"own": 3e-3}
-    shared = choose_unseen({}, ["linear", "own", "smooth", "drift"])
-    assert set(shared) == {"linear", "own", "smooth"}
+    assert choose_unseen({"positioning": 3e-3, "linear": 1e-3}, ["positioning", "drift"]) == {"positioning": 3e-3}
+    shared = choose_unseen({}, ["linear", "positioning", "smooth", "drift"])
+    assert set(shared) == {"linear", "positioning", "smooth"}
     assert sum(one**2 for one in shared.values()) == pytest.approx(1e-4)
-    assert add({"own": 3.0}, {"own": 4.0, "smooth": 1.0}) == {"own": 5.0, "smooth": 1.0}
-    assert add({"own": 5.0}, {"own": 4.0}, -1.0) == {"own": 3.0}
+    assert add({"positioning": 3.0}, {"positioning": 4.0, "smooth": 1.0}) == {"positioning": 5.0, "smooth": 1.0}
+    assert add({"positioning": 5.0}, {"positioning": 4.0}, -1.0) == {"positioning": 3.0}

@@ -15,12 +15,18 @@ from bayescal.experiments.audit.audit import analyse, evaluate_change, run_audit
 from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.experiments.audit.machine import locate
 from bayescal.experiments.audit.results import summarise, tabulate, tabulate_variants
-from bayescal.experiments.audit.schema import WhatIfConfig
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.audit.schema import ScenarioConfig
+from bayescal.experiments.runner.parallel import Run
 from bayescal.identifiability import requirements
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
-from bayescal.identifiability.requirements import Forecast, Requirement, Standing, ToolRemaining, move_draws
+from bayescal.identifiability.requirements import (
+    Requirement,
+    RequirementSummary,
+    ToolRemaining,
+    WorkspaceErrorModel,
+    move_draws,
+)
 from bayescal.machines.kinematics import check_home_pose, solve_forward_kinematics
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import compute_pose_error, matrix_from_rotation_vector
@@ -103,9 +109,9 @@ def test_what_fixing_the_rest_costs(telescope):
 def test_a_limit_on_the_rms_is_kept_where_single_poses_exceed_it():
     """Noise alone: closed forms of 40 poses; what own sensors do not determine has no probability."""
     noise = np.broadcast_to(0.01 * np.eye(2), (40, 2, 2))
-    wanted = [Requirement("a", 0.2, ("a", "b"), of) for of in ("rms", "every_pose")]
+    wanted = [Requirement("a", 0.2, ("a", "b"), of) for of in ("rms", "all_poses")]
     nothing = Information(np.zeros((1, 3)))
-    forecast = Forecast(np.zeros((40, 2, 3)), noise)
+    forecast = WorkspaceErrorModel(np.zeros((40, 2, 3)), noise)
     (rms, every), together = forecast.judge(wanted, nothing, np.random.default_rng(2), ())
     share = (2.0 * norm.cdf(2.0) - 1.0) ** 40
     assert (rms.probability, rms.everywhere) == (1.0, every.probability)
@@ -122,7 +128,7 @@ def test_a_limit_on_the_rms_is_kept_where_single_poses_exceed_it():
 def test_the_worst_pose_is_where_the_tool_errs_most():
     slope = np.linspace(0.1, 0.3, 7)[:, None, None] * [[[1.0, 0.0], [0.0, -1.0]]]
     wanted = [Requirement(name, 1.0, ("a", "b")) for name in "ab"]
-    outlooks, _ = Forecast(slope, np.zeros((7, 2, 2))).judge(
+    outlooks, _ = WorkspaceErrorModel(slope, np.zeros((7, 2, 2))).judge(
         wanted, Information(np.zeros((1, 2))), np.random.default_rng(3), ()
     )
     assert [one.worst for one in outlooks] == [6, 6]
@@ -212,8 +218,8 @@ def test_poses_of_an_audits_workspace_keep_its_shape(shape):
 
 def test_twice_the_same_poses_are_half_the_variance_of_noise(telescope):
     """Doubling the poses of a table and dividing both noises by the root of two tell the same."""
-    twice = evaluate_change(telescope, WhatIfConfig(name="", poses_factor=2.0), None)
-    less = WhatIfConfig(name="", noise_factor=0.5**0.5, actuator_noise_factor=0.5**0.5)
+    twice = evaluate_change(telescope, ScenarioConfig(name="", poses_factor=2.0), None)
+    less = ScenarioConfig(name="", noise_factor=0.5**0.5, actuator_noise_factor=0.5**0.5)
     finer = evaluate_change(telescope, less, None)
     assert twice.n_poses == 80
     assert twice.information.contraction == pytest.approx(finer.information.contraction, abs=1e-9)
@@ -222,24 +228,24 @@ def test_twice_the_same_poses_are_half_the_variance_of_noise(telescope):
 def test_more_of_anything_never_tells_less(telescope):
     base = analyse(telescope).information.nats
     for change in (
-        WhatIfConfig(name="", poses_factor=1.5),
-        WhatIfConfig(name="", noise_factor=0.9),
-        WhatIfConfig(name="", actuator_noise_factor=0.9),
-        WhatIfConfig(name="", sensors=["rho", "photogrammetry", "laser_tracker"]),
+        ScenarioConfig(name="", poses_factor=1.5),
+        ScenarioConfig(name="", noise_factor=0.9),
+        ScenarioConfig(name="", actuator_noise_factor=0.9),
+        ScenarioConfig(name="", sensors=["rho", "photogrammetry", "laser_tracker"]),
     ):
         assert evaluate_change(telescope, change, None).information.nats > base
 
 
 def test_a_wider_workspace_says_that_the_actuators_do_not_reach(telescope):
-    wide = evaluate_change(telescope, WhatIfConfig(name="", workspace_factor=2.0), None)
+    wide = evaluate_change(telescope, ScenarioConfig(name="", workspace_factor=2.0), None)
     assert wide.beyond_range
-    assert not evaluate_change(telescope, WhatIfConfig(name=""), None).beyond_range
-    impossible = evaluate_change(telescope, WhatIfConfig(name="", workspace_factor=400.0), None)
+    assert not evaluate_change(telescope, ScenarioConfig(name=""), None).beyond_range
+    impossible = evaluate_change(telescope, ScenarioConfig(name="", workspace_factor=400.0), None)
     assert impossible.information is None
 
 
 def test_other_poses_replace_the_planned_ones(telescope):
-    change = WhatIfConfig.model_validate({"name": "", "poses": {"plan": "extremes", "count": 7}})
+    change = ScenarioConfig.model_validate({"name": "", "poses": {"sampling": "extremes", "count": 7}})
     moves = telescope.change(change).variant.data.values[:, :6] - 10.0
     assert moves.shape == (7, 6)
     assert set(np.unique(np.round(np.abs(moves), 9))) <= {0.0, 1.3}
@@ -402,7 +408,7 @@ def test_a_machine_that_cannot_be_there_exceeds_every_limit(place):
 
 
 def test_requirements_hold_together_where_each_does():
-    standing = Standing(np.array([[0.5, 0.5], [0.9, 1.1], [1.2, 0.8], [1.0, 0.2]]))
+    standing = RequirementSummary(np.array([[0.5, 0.5], [0.9, 1.1], [1.2, 0.8], [1.0, 0.2]]))
     assert standing.probability == 0.5
     np.testing.assert_allclose(standing.probabilities, [0.75, 0.75])
     assert list(standing.bound(0.75)) == [1.2, 1.1]

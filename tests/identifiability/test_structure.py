@@ -82,7 +82,7 @@ def test_planted_gauges_are_found_and_nothing_else(seed):
 
 @pytest.mark.parametrize("seed", range(N_MACHINES))
 def test_planted_duplicates_are_found_and_nothing_else(seed):
-    """Columns that repeat others, alone or mixed, in the Jacobian of a random machine, each copy rounded anew."""
+    """Columns that repeat others, alone or mixed, in the Jacobian of a random machine, each copy rounded again."""
     rng = np.random.default_rng([seed, 7])
     machine = machines.build_machine("none", machines.build_random_mechanism(6, seed), "six_pus")
     knowledge = problems.build_knowledge(machine, JOINTS)

@@ -7,11 +7,11 @@ import pytest
 import studies
 import telescope_machines as machines
 
-from bayescal.density.calibration.model_error import FunctionsOfPose
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.model_error import GPTerm
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.components import LinearGeometry, LinearRows
+from bayescal.density.pose_kernels import POSE_KERNELS
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sorts import SORTS
 from bayescal.inference.conditional import ExactConditional
 from bayescal.inference.exploration import explore
 
@@ -30,10 +30,10 @@ def posterior():
         for name, value in zip(machine.layout.names, machine.layout.nominal, strict=True)
         if name.startswith(("b_x", "b_y", "l"))
     }
-    functions = machines.let_functions_err(machine, found, tuple(SORTS))
+    functions = machines.let_functions_err(machine, found, tuple(POSE_KERNELS))
     return machines.measure(
-        machine, found, priors, Errors((*machines.let_err(shared=True).terms, *functions))
-    ).anchored()
+        machine, found, priors, ErrorModel((*machines.let_err(shared=True).terms, *functions))
+    ).with_pose_guesses()
 
 
 def test_proposal_needs_no_sharpening(posterior):
@@ -46,13 +46,14 @@ def test_errors_at_once_give_what_each_gives_by_itself(pytestconfig):
     """Of rows without functions, whose errors are weighed together."""
     path = pytestconfig.rootpath / "examples/own_machine/study.toml"
     posterior = studies.load_study(path).variants["all"].posterior()
-    scatter = tuple(one for one in posterior.errors.terms if not isinstance(one, FunctionsOfPose))
-    steady = replace(posterior, errors=replace(posterior.errors, terms=scatter)).anchored()
-    linear = steady.linear_geometry(steady.approach())
+    scatter = tuple(one for one in posterior.errors.terms if not isinstance(one, GPTerm))
+    steady = replace(posterior, errors=replace(posterior.errors, terms=scatter)).with_pose_guesses()
+    linear = steady.linear_geometry(steady.least_squares_start())
     zeta = np.random.default_rng(5).standard_normal((7, steady.n_parameters - steady.n_geometry))
-    for k, every in enumerate(zip(*linear.solve(zeta), strict=True)):
-        for found, alone in zip(every, linear.solve(zeta[k : k + 1]), strict=True):
-            np.testing.assert_allclose(found, alone[0], rtol=1e-9, atol=1e-9 * np.abs(found).max())
+    every = *linear.given(zeta), linear.log_mass(zeta)
+    for k, one in enumerate(zeta[:, None]):
+        for found, alone in zip(every, (*linear.given(one), linear.log_mass(one)), strict=True):
+            np.testing.assert_allclose(found[k], alone[0], rtol=1e-9, atol=1e-9 * np.abs(found[k]).max())
 
 
 def test_exact_conditional_is_the_normal_given_the_errors():

@@ -22,7 +22,7 @@ SEED, NAMES = 1, ("none", "linear", "matrix")
 @pytest.fixture(scope="module")
 def explorations(twin):
     """Return the variants with free model errors per leg, and what exploring them found."""
-    posteriors = {name: machines.build_posterior(name, twin, machines.let_err()).anchored() for name in NAMES}
+    posteriors = {name: machines.build_posterior(name, twin, machines.let_err()).with_pose_guesses() for name in NAMES}
     return {name: (p, explore(p, np.random.SeedSequence(SEED))) for name, p in posteriors.items()}
 
 
@@ -86,7 +86,7 @@ def test_clusters_mend_weights_with_a_heavy_tail(twin):
     """A proposal half as wide as the posterior has such weights; with clusters of its chains' draws it has not."""
     posterior = machines.build_posterior(
         "matrix", twin.select(np.arange(12)), machines.let_err(None), ("l", "kappa")
-    ).anchored()
+    ).with_pose_guesses()
     found = explore(posterior, np.random.SeedSequence(SEED))
     narrow = replace(found, proposal=replace(found.proposal, factors=0.5 * found.proposal.factors))
     density, rng = found.straight.log_density, np.random.default_rng(3)

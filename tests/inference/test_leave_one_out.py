@@ -11,7 +11,7 @@ from bayescal.inference.exploration import explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.leave_one_out import (
     MAX_REFITS,
-    LeftOut,
+    LeaveOneOut,
     leave_out,
     move_without,
     refit_doubtful,
@@ -29,7 +29,7 @@ def variant(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def posterior(variant):
-    return variant.posterior().anchored()
+    return variant.posterior().with_pose_guesses()
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_run_without_a_pose_gives_the_difference_of_evidences(variant, posteri
     """p(y_i | the others) = p(all) / p(the others), the latter from a likelihood that has never seen the pose."""
     others = ~variant.verification
     others[np.flatnonzero(others)[POSE]] = False
-    rest = variant.posterior(others).anchored()
+    rest = variant.posterior(others).with_pose_guesses()
     expected = log_evidence(posterior, found) - log_evidence(rest, explore(rest, np.random.SeedSequence(5)))
     moved = move_without(POSE, posterior, found, *draw_to_correct(found, np.random.default_rng(7), 1024))
     assert -moved.log_ratio == pytest.approx(expected, abs=0.1)
@@ -57,7 +57,7 @@ def test_a_run_without_a_pose_gives_the_difference_of_evidences(variant, posteri
 
 def test_where_moved_draws_are_not_enough_a_run_is(posterior, found, monkeypatch):
     enough = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
-    monkeypatch.setattr("bayescal.inference.leave_one_out.ENOUGH", 0.0)
+    monkeypatch.setattr("bayescal.inference.leave_one_out.MAX_LOO_ERROR_NAT", 0.0)
     run = refit_doubtful(make_left_out(1), posterior, found, 64, np.random.SeedSequence(9)).refitted[0]
     assert run != enough
     assert run == pytest.approx(enough, abs=0.15)
@@ -74,9 +74,9 @@ def test_weights_and_runs_agree_where_weights_are_good(posterior, found):
     assert refitted == pytest.approx(weighted.elpd[best], abs=0.15)
 
 
-def make_left_out(n_bad: int) -> LeftOut:
+def make_left_out(n_bad: int) -> LeaveOneOut:
     pareto_k = np.where(np.arange(13) < n_bad, 0.9, 0.1)
-    return LeftOut(np.zeros(13), pareto_k, np.zeros(13), np.full(13, np.nan))
+    return LeaveOneOut(np.zeros(13), pareto_k, np.zeros(13), np.full(13, np.nan))
 
 
 def test_bad_poses_alone_are_refitted(posterior, found):

@@ -10,7 +10,7 @@ import pytest
 from bayescal.inference.exploration import explore
 from bayescal.inference.loose import MOST_LOOSE, fit_loose_shear
 from bayescal.inference.mode import find_modes
-from bayescal.inference.straightening import straighten
+from bayescal.inference.reparameterisation import straighten
 
 HELD = 1e-4  # prior standard deviations that data leave of what they hold
 
@@ -50,16 +50,16 @@ class Arc:
     def draw_prior(self, n, rng):
         return rng.standard_normal((n, self.n_parameters))
 
-    def approach(self):
+    def least_squares_start(self):
         return np.zeros(self.n_parameters)
 
     def natural(self, y):
         return y
 
-    def polish(self, y):
+    def refine_geometry(self, y):
         return y
 
-    def jumps(self, y):
+    def mode_candidates(self, y):
         return []
 
     def groups(self):
@@ -68,13 +68,13 @@ class Arc:
     def curved_ridges(self):
         return []
 
-    def finer(self):
+    def exact(self):
         return None
 
     def linear_geometry(self, y):
         return None
 
-    def funnel(self, y):
+    def scale_dependence(self, y):
         return None
 
 

@@ -33,7 +33,7 @@ class Posts(Arc):
         rows = ((self.residual(y + steps) - self.residual(y - steps)) / 2e-6).T
         return -rows.T @ self.residual(y), -rows.T @ rows
 
-    def polish(self, y):
+    def refine_geometry(self, y):
         return least_squares(self.residual, y, xtol=1e-12).x
 
 

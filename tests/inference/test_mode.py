@@ -11,7 +11,7 @@ from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import _characterise, find_mode, find_modes, revisit_modes
-from bayescal.inference.peaks import Peak, proposal_from_peaks
+from bayescal.inference.peaks import GaussianMode, proposal_from_peaks
 from bayescal.machines.kinematics import solve_forward_kinematics
 
 SIX = ("a_x", "a_y", "b_x", "b_y", "l")
@@ -21,7 +21,7 @@ VARIANTS = [("none", 0.01), ("none", None), ("linear", None), ("matrix", None)]
 
 def build(deformation, poses, *errors, **options):
     """Return a posterior of the telescope about the machine that explains the poses."""
-    return machines.build_posterior(deformation, poses, machines.let_err(*errors, **options)).anchored()
+    return machines.build_posterior(deformation, poses, machines.let_err(*errors, **options)).with_pose_guesses()
 
 
 @pytest.fixture(params=VARIANTS, ids=lambda v: f"{v[0]}, {'free' if v[1] else 'no'} model error")
@@ -95,7 +95,7 @@ def test_laplace_is_close_to_the_evidence_of_a_normal_posterior(twin):
     posterior = build("matrix", twin, None)
     modes = find_modes(posterior)
     assert len(modes) == 1
-    peak = Peak(modes[0].y, np.linalg.cholesky(modes[0].covariance), modes[0].log_density)
+    peak = GaussianMode(modes[0].y, np.linalg.cholesky(modes[0].covariance), modes[0].log_density)
     proposal = proposal_from_peaks([peak], 50.0)
     evidence = estimate_by_importance(posterior.log_density, proposal, np.random.default_rng(1), 4000)
     assert evidence.standard_error < 0.02
@@ -165,7 +165,7 @@ def test_mirrors_of_two_legs_at_once_are_found():
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[{leg}]": NormalPrior(layout.nominal[layout.index[s][leg - 1]], 2.0) for s in SIX for leg in (1, 2)}
     priors |= {f"u_y[{leg}]": UniformPrior(-0.3, 0.3) for leg in (1, 2)}
-    posterior = machines.measure(machine, poses, priors).anchored()
+    posterior = machines.measure(machine, poses, priors).with_pose_guesses()
     modes = find_modes(posterior)
     assert len(modes) == 4
     best, *others = (layout.take(posterior.theta(mode.y[None])[0], "u_y")[:2] for mode in modes)
@@ -179,7 +179,7 @@ def test_a_mirror_beyond_the_bounds_is_no_start(twin):
     """A jump that leads out of a uniform prior is left out; the mode is found all the same."""
     machine = machines.build_machine("none")
     priors = {"u_y[1]": UniformPrior(-0.05, 0.05), "l[1]": NormalPrior(500.0, 2.0)}
-    posterior = machines.measure(machine, twin, priors, machines.let_err(shared=True)).anchored()
+    posterior = machines.measure(machine, twin, priors, machines.let_err(shared=True)).with_pose_guesses()
     assert find_modes(posterior)[0].converged
 
 
@@ -190,11 +190,11 @@ def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
     poses = machines.simulate_poses(machine, layout.nominal, machines.table_3_actuators()[:12], np.zeros(6), rng)
     priors = {f"{s}[1]": NormalPrior(layout.nominal[layout.index[s][0]], 2.0) for s in SIX}
     priors |= {"u_y[1]": UniformPrior(-0.3, 0.3)}
-    posterior = machines.measure(machine, poses, priors).anchored()
+    posterior = machines.measure(machine, poses, priors).with_pose_guesses()
     both = find_modes(posterior)
     assert len(both) == 2
-    monkeypatch.setattr(Posterior, "jumps", lambda self, y: [])
-    monkeypatch.setattr(Posterior, "approach", lambda self: both[1].y)
+    monkeypatch.setattr(Posterior, "mode_candidates", lambda self, y: [])
+    monkeypatch.setattr(Posterior, "least_squares_start", lambda self: both[1].y)
     assert len(find_modes(posterior)) == 1
     found = find_modes(posterior, np.random.default_rng(1))
     assert [mode.log_density for mode in found] == pytest.approx([mode.log_density for mode in both], abs=1e-3)
@@ -202,8 +202,8 @@ def test_draws_of_the_prior_lead_to_modes_that_no_jump_knows(monkeypatch):
 
 def test_draws_of_the_prior_that_lead_back_change_nothing(twin):
     posterior = build("linear", twin, None)
-    plain, anew = find_modes(posterior), find_modes(posterior, np.random.default_rng(1))
-    assert [mode.y.tolist() for mode in anew] == [mode.y.tolist() for mode in plain]
+    plain, again = find_modes(posterior), find_modes(posterior, np.random.default_rng(1))
+    assert [mode.y.tolist() for mode in again] == [mode.y.tolist() for mode in plain]
 
 
 def test_known_modes_are_kept_beside_those_that_starts_lead_to(mirrored, monkeypatch):

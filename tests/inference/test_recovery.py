@@ -51,7 +51,7 @@ def fit(theta, tau, seed):
     data_seed, explore_seed, draw_seed = sequence.spawn(3)
     machine, actuators = machines.build_machine("matrix"), machines.table_3_actuators()
     poses = machines.simulate_poses(machine, theta, actuators, tau, np.random.default_rng(data_seed))
-    posterior = machines.build_posterior("matrix", poses, machines.let_err(SCALE), machine=machine).anchored()
+    posterior = machines.build_posterior("matrix", poses, machines.let_err(SCALE), machine=machine).with_pose_guesses()
     found, rng = explore(posterior, explore_seed), np.random.default_rng(draw_seed)
     drawn = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, 2000)
     y = found.straight.y_from_x(drawn.draws)

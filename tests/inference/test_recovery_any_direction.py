@@ -81,7 +81,7 @@ def fit(request):
     poses = measure(machine, theta, actuators, rng)
     nominal = dict(zip(layout.names, layout.nominal.tolist(), strict=True))
     priors = {name: NormalPrior(nominal[name], one) for name, one in sd.items()}
-    posterior = machines.measure(machine, poses, priors).anchored()
+    posterior = machines.measure(machine, poses, priors).with_pose_guesses()
     found = explore(posterior, np.random.SeedSequence(5))
     drawn = resample(found.straight.log_density, found.proposal, rng, N_DRAWS, N_DRAWS)
     draws = posterior.natural(found.straight.y_from_x(drawn.draws))

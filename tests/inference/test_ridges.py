@@ -13,10 +13,10 @@ from test_tempered_battery import CASES
 from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.mode import Mode
-from bayescal.inference.peaks import Peak, proposal_from_peaks, refine_peak
+from bayescal.inference.peaks import GaussianMode, proposal_from_peaks, refine_peak
+from bayescal.inference.reparameterisation import Reparameterisation
 from bayescal.inference.ridges import trace_ridges
 from bayescal.inference.schema import EvidenceConfig
-from bayescal.inference.straightening import Straightening
 
 WIDTH = 0.05  # of the ridge, across
 CURVE = Polynomial([0.3, 0.5, 0.4, -0.7])
@@ -55,13 +55,13 @@ def make_mode(bent, u):
 
 def straighten(bent, modes):
     """Return the traced straightening."""
-    plain = Straightening(bent, modes[0].y, (), np.empty(0), np.empty(0))
+    plain = Reparameterisation(bent, modes[0].y, (), np.empty(0), np.empty(0))
     return trace_ridges(plain, modes)
 
 
 def find_peak(straight, mode):
     """Return the Gaussian of a mode that straight coordinates leave where it is."""
-    return Peak(mode.y, np.linalg.cholesky(straight.carry(mode.y, mode.covariance)), mode.log_density)
+    return GaussianMode(mode.y, np.linalg.cholesky(straight.carry(mode.y, mode.covariance)), mode.log_density)
 
 
 def weigh(straight, peaks, rng, n_draws=4000, dof=50.0):
@@ -177,7 +177,7 @@ def test_a_coordinate_that_nothing_follows_is_bent_alone():
         curved_ridges=lambda: [(0, np.array([], int))],
     )
     straight = straighten(lone, [Mode(np.zeros(1), -1.0, np.eye(1), True)])
-    peak = refine_peak(straight.log_density, Peak(np.zeros(1), np.eye(1), 0.0))
+    peak = refine_peak(straight.log_density, GaussianMode(np.zeros(1), np.eye(1), 0.0))
     found = weigh(straight, [peak], np.random.default_rng(6))
     assert found.log_evidence == pytest.approx(0.0, abs=4 * found.standard_error + 2e-3)
     assert found.efficiency > 0.9

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.causes import NONE, weigh_causes
 from bayescal.inference.mode import find_modes
@@ -33,14 +33,14 @@ def write(folder, error=None):
 
 def weigh(path, seed=1):
     study = StudyInputs.load(load(path)[1], path.parent)
-    posterior = study.variants["all"].posterior().anchored()
+    posterior = study.variants["all"].posterior().with_pose_guesses()
     found = weigh_causes(posterior, find_modes(posterior)[0].y, np.random.default_rng(seed))
     return {name: one.log_odds for name, one in found.items()}, posterior
 
 
 def test_the_cause_is_far_better_than_any_other_alone(tmp_path):
     found, _ = weigh(write(tmp_path, lambda s: SLOPES * 3.0 * (s - s.mean(axis=0))))
-    lead, own = found.pop("lead"), found.pop("own")
+    lead, own = found.pop("lead"), found.pop("positioning")
     assert lead > own > -1.0  # functions of the own position that are no lead error have to be small
     assert lead - max(found.values()) > 3.0
     assert found[NONE] < found["linear"]
@@ -103,12 +103,12 @@ def test_without_errors_none_is_best(tmp_path):
 def test_draws_hardly_matter(tmp_path):
     path = write(tmp_path)
     one, other = weigh(path)[0], weigh(path, seed=2)[0]
-    assert list(one) == [NONE, "linear", "own", "smooth", "drift", "lead", "joints", "gravity"]
+    assert list(one) == [NONE, "linear", "positioning", "smooth", "drift", "lead", "joints", "gravity"]
     np.testing.assert_allclose([*one.values()], [*other.values()], atol=0.5)
 
 
 def test_nothing_is_said_without_functions(tmp_path):
-    path = calibrations.change(calibrations.write_delta(tmp_path), "terms = []", 'terms = ["independent"]')
+    path = calibrations.change(calibrations.write_delta(tmp_path), "terms = []", 'terms = ["random"]')
     assert weigh(path)[0] == {}
 
 
@@ -116,13 +116,13 @@ def test_nothing_is_said_without_functions(tmp_path):
 def test_evidence_is_that_of_whole_calibrations(tmp_path, call):
     """Sampling of the joint posterior and importance sampling of it know nothing of the closed form."""
     path = write(tmp_path, lambda s: SLOPES * (s - s.mean(axis=0))).with_name("causes.toml")
-    others = {"own": ["own"], "linear": ["linear"], NONE: []}
-    chosen = {"all": "", **{name: f"model_error = {['independent', *one]}\n" for name, one in others.items()}}
+    others = {"positioning": ["positioning"], "linear": ["linear"], NONE: []}
+    chosen = {"all": "", **{name: f"model_error = {['random', *one]}\n" for name, one in others.items()}}
     variants = [f'[[variants]]\nname = "{name}"\ntitle = "{name}"\n{keys}' for name, keys in chosen.items()]
     path.write_text("\n".join(['extends = "study.toml"\nname = "causes"\n', *variants]).replace("'", '"'))
     assert call("run", path, "--out", tmp_path / "out", "--workers", "1")[0] in (0, 3)
     tables = tmp_path / "out" / "tables"
     evidence = pd.read_csv(tables / "variants.csv").set_index("variant")["log_evidence"]
-    alone = pd.read_csv(tables / "model_error_alone.csv").set_index(["variant", "term"])["log_odds"]
+    alone = pd.read_csv(tables / "model_error_alone.csv").set_index(["variant", "term"])["log_bayes_factor"]
     for name in others:
         assert alone["all", name] == pytest.approx(evidence[name] - evidence["all"], abs=0.4), name

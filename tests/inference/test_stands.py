@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_overdispersed import MISSED, N, explored, gaussian, normal, two_modes
+from test_chain_checks import MISSED, N, explored, gaussian, normal, two_modes
 
+from bayescal.inference.chain_checks import draw_tails, find_rare_ratio
 from bayescal.inference.diagnostics import list_stand_problems, measure_longest_stand
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.sampling import sample_posterior
@@ -37,12 +38,12 @@ def measure_any_stand(log_density):
     return measure_longest_stand(1e-9 * log_density, np.full(log_density.shape, np.inf))
 
 
-def judge(density, proposal, found):
-    """Return what is said of the stands of a sample."""
+def judge(density, proposal, found, rare_ratio=np.inf):
+    """Return what is said of the stands of a sample, hardly any of the posterior lying beyond a ratio."""
     points, log_density = found.straight.reshape(-1, N), found.log_density
     weighed = estimate_by_importance(density, proposal, np.random.default_rng(1), 5000)
     ratio = log_density - proposal.log_density(points).reshape(log_density.shape) - weighed.log_evidence
-    return list_stand_problems(measure_longest_stand(log_density, ratio), log_density.shape[2])
+    return list_stand_problems(measure_longest_stand(log_density, ratio, rare_ratio), log_density.shape[2])
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,24 @@ def test_visits_to_a_tail_are_seldom_an_alarm(visits):
     assert len(visits) > 3
     said = [problem for one in visits for problem in judge(heavy_tail, gaussian(), one)]
     assert len(said) <= len(visits) // 2
+
+
+def find_rare(density, proposal):
+    """Return the ratio beyond which, by the weights of draws from farther out, hardly any of the posterior lies."""
+    found = explored(density, proposal)
+    return find_rare_ratio(draw_tails(found, np.random.SeedSequence(7)), found)
+
+
+def test_no_visit_to_a_tail_is_an_alarm_where_weights_say_what_it_holds(visits):
+    rare = find_rare(heavy_tail, gaussian())
+    assert np.isfinite(rare)
+    assert any(judge(heavy_tail, gaussian(), one) for one in visits)
+    assert not any(judge(heavy_tail, gaussian(), one, rare) for one in visits)
+
+
+@pytest.mark.parametrize("name", ["minor mode", "bend"])
+def test_missing_mass_is_an_alarm_by_weights_as_well(name):
+    assert judge(*MISSED[name], sample(*MISSED[name], 80, 4), find_rare(*MISSED[name]))
 
 
 def test_a_visit_that_is_still_an_alarm_is_none_with_more_steps():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.calibration.terms import NO_ERRORS, ErrorModel
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.exploration import integrate_posterior
 from bayescal.inference.importance import evaluate_in_batches
@@ -33,7 +33,7 @@ class Case:
     """
 
     priors: dict[str, tuple[str, float, tuple[int, ...]]]
-    tau: Errors = NO_ERRORS
+    tau: ErrorModel = NO_ERRORS
     noise: float = 1.0
     offsets: dict[str, float] = field(default_factory=dict)
     deformation: str = "none"
@@ -62,7 +62,7 @@ class Case:
                 narrow, bounded = NormalPrior(value, width), UniformPrior(value - width, value + width)
                 priors[f"{symbol}[{leg}]"] = narrow if kind == "normal" else bounded
         found = machines.measure(machine, self.measure(), priors, self.tau, noise=machines.ACTUATOR_NOISE * self.noise)
-        return found.anchored()
+        return found.with_pose_guesses()
 
 
 ALL, ONE, TWO = (1, 2, 3, 4, 5, 6), (1,), (1, 2)

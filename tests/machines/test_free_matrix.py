@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import telescope_machines as machines
 
-from bayescal.calibrated.machine import find_hindrance
+from bayescal.calibrated.machine import find_export_obstacle
 from bayescal.density.outliers import Contaminated
 from bayescal.density.priors import NormalPrior, SharePrior
 from bayescal.machines.coordinates import ClosingCoordinates
@@ -60,9 +60,9 @@ def build_priors(machine):
 
 
 def test_derivatives_by_the_entries(machine, poses):
-    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).anchored()
+    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).with_pose_guesses()
     assert isinstance(plain.sampling.coordinates, ClosingCoordinates)
-    y = plain.polish(plain.approach())
+    y = plain.refine_geometry(plain.least_squares_start())
     y += np.random.default_rng(3).standard_normal(len(y)) / np.sqrt(-np.diag(plain.gradient(y)[1]))
     gradient, hessian = plain.gradient(y)
     expected = machines.stencil_derivative(plain.log_density, y, np.full(len(y), 1e-3))
@@ -79,28 +79,28 @@ def find_sds(posterior, y):
 def test_explicit_entries_leave_of_the_geometry_what_linear_errors_leave(machine, poses):
     """The information on the geometry with the entries marginalised, against that of linear errors as large."""
     rigid, priors, errors = machines.build_machine("none"), build_priors(machine), machines.let_err()
-    plain = machines.measure(machine, poses, priors, errors).anchored()
-    y = plain.polish(plain.approach())
+    plain = machines.measure(machine, poses, priors, errors).with_pose_guesses()
+    y = plain.refine_geometry(plain.least_squares_start())
     linear = machines.let_functions_err(rigid, poses, ("linear",))
     rest = {name: prior for name, prior in priors.items() if not name.startswith("K_")}
     other = machines.measure(rigid, poses, rest, replace(errors, terms=(*errors.terms, *linear)))
     travel = (poses.actuators - machines.INITIAL_POSITION) / machines.ACTUATOR_RANGE
     size = 0.02 * np.sqrt(np.mean(np.sum(travel**2, axis=1)))  # rms of slopes of 20 µm over the range
     zeta = other.errors.priors[-1].standardise(np.array([size]))
-    start = np.concatenate([other.polish(other.approach())[: len(rest)], y[len(priors) :], zeta])
+    start = np.concatenate([other.refine_geometry(other.least_squares_start())[: len(rest)], y[len(priors) :], zeta])
     expected = find_sds(other, start)
     assert np.abs(find_sds(plain, y)[: len(rest)] / expected - 1.0).max() < 0.02
     assert (expected / find_sds(machines.measure(rigid, poses, rest, errors), start[:-1])).max() > 2.0
 
 
 def test_stands_beside_blunders(machine, poses):
-    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).anchored()
+    plain = machines.measure(machine, poses, build_priors(machine), machines.let_err()).with_pose_guesses()
     robust = replace(plain, errors=replace(plain.errors, outliers=Contaminated(SharePrior(0.02))))
     assert isinstance(robust.sampling.coordinates, ClosingCoordinates)
-    y = robust.polish(robust.approach())
+    y = robust.refine_geometry(robust.least_squares_start())
     assert np.isfinite(robust.log_density(y[None])).all()
 
 
 def test_no_file_of_a_machine_holds_it(machine):
-    assert "free_matrix" in find_hindrance(machine)
+    assert "free_matrix" in find_export_obstacle(machine)
     assert "K_1" in machine.layout.symbols

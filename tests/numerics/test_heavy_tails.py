@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayescal.density.calibration.model_error import IndependentErrors
-from bayescal.density.calibration.terms import Errors, NoiseFactor
+from bayescal.density.calibration.model_error import RandomTerm
+from bayescal.density.calibration.terms import ErrorModel, NoiseFactor
 from bayescal.density.priors import HalfCauchyPrior
 from bayescal.numerics.heavy_tails import HEAVY, find_equivalent, find_most, measure_tail
 
@@ -37,7 +37,7 @@ def test_sizes_that_are_cut_off_have_the_equivalent_as_their_rms(tailed):
     assert np.isclose(find_equivalent(more), find_equivalent(tailed), rtol=0.01)
 
 
-class Creep(IndependentErrors):
+class Creep(RandomTerm):
     """A size with a heavy tail."""
 
     priors = (HalfCauchyPrior(1.0),)
@@ -45,7 +45,7 @@ class Creep(IndependentErrors):
 
 def test_only_sizes_of_errors_that_data_do_not_determine_are_limited(rng):
     every = np.ones(2, dtype=bool)
-    errors = Errors((NoiseFactor("s", every, 3.0), Creep("open", every, 1.0), Creep("known", every, 1.0)))
+    errors = ErrorModel((NoiseFactor("s", every, 3.0), Creep("open", every, 1.0), Creep("known", every, 1.0)))
     zeta = np.stack([rng.standard_normal(4000), rng.standard_normal(4000), 0.05 * rng.standard_normal(4000)], axis=1)
     found = errors.limit(zeta)
     assert np.array_equal(found[:, [0, 2]], zeta[:, [0, 2]])

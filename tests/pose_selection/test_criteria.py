@@ -1,4 +1,4 @@
-"""Indices against singular values, updates and bounds against sets judged anew, gradients against differences."""
+"""Indices against singular values, updates and bounds against sets judged again, gradients against differences."""
 
 from __future__ import annotations
 

@@ -23,7 +23,13 @@ from bayescal.pose_selection import (
 from bayescal.pose_selection.criteria import O1
 from bayescal.pose_selection.methods import Continuous, Detmax, Exchange, RandomSets, TabuDetmax
 
-DISCRETE = (RandomSets(n_sets=20), Detmax(), TabuDetmax(2, 60), TabuDetmax(4, 60, leave=True), Exchange())
+DISCRETE = (
+    RandomSets(n_sets=20),
+    Detmax(),
+    TabuDetmax(2, 60),
+    TabuDetmax(4, 60, forbid_immediate_removal=True),
+    Exchange(),
+)
 PUBLISHED_O1 = {20: 0.0357, 30: 0.0361, 40: 0.0362}  # Yu, Wu and Wang 2023, table 1
 PUBLISHED_RANDOM = {"mean": 0.01713, "max": 0.02199}  # section 5
 
@@ -55,7 +61,7 @@ def test_tabu_finds_the_best_of_all_subsets(name):
     for seed in range(4):
         problem = pose_problems.small_problem(name, seed=seed)
         _, subset = best_of_all(problem)
-        method = TabuDetmax(4, 30, leave=True)
+        method = TabuDetmax(4, 30, forbid_immediate_removal=True)
         found += any(
             set(select(problem, method, np.random.default_rng([seed, k])).index.tolist()) == subset
             for k in range(starts)

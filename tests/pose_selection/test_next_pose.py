@@ -1,4 +1,4 @@
-"""The pose to measure next: against every candidate judged anew, and against divergences in closed form."""
+"""The pose to measure next: against every candidate judged again, and against divergences in closed form."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from shares import run_rest
 
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import check_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import check_experiment
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism
 from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
@@ -34,7 +34,7 @@ def test_a_project_is_fit_to_run_and_says_that_it_is_simulated(tmp_path, project
     assert measured
     for path in (*measured, folder / "README.md"):
         assert "never measured" in path.read_text()
-    assert load(folder / "study.toml")[1].origin.status == "simulated"
+    assert load(folder / "study.toml")[1].provenance.status == "simulated"
 
 
 def list_free(folder, machine):

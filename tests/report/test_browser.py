@@ -6,7 +6,7 @@ import pytest
 from browser import SCHEMES, SIZES, check_accessible, check_layout, check_print, open_page, start_browser, unfold
 from matplotlib.figure import Figure as Drawing
 
-from bayescal.report.blocks import Cell, Column, Figure, Fold, Page, Section, Side, Statement, Table, make_table
+from bayescal.report.blocks import Cell, Column, Figure, Fold, Page, PageSection, Side, Statement, Table, make_table
 from bayescal.report.page import write_page
 from bayescal.report.pictures import render_picture
 from bayescal.report.scene import Scene, SceneLine, ScenePoint
@@ -58,7 +58,10 @@ def path(tmp_path_factory):
     numbers, long, wide = make_tables()
     blocks = (numbers, long, wide, Side((numbers, long)), Figure("errors", "Errors.", draw), make_scene())
     verdict = tuple(Statement(f"The posterior's sd is {k} nat.", "good", "Found") for k in range(7))
-    sections = (Section("Numbers", blocks), Section("More", (Fold("Folded", ("The prior is wide.", wide)),), "more"))
+    sections = (
+        PageSection("Numbers", blocks),
+        PageSection("More", (Fold("Folded", ("The prior is wide.", wide)),), "more"),
+    )
     page = Page("Kind", "name", "Title", "Simulated", "The headline.", verdict, sections)
     with pytest.MonkeyPatch.context() as patched:  # drawn before a test's own fixtures would let it be
         patched.setattr("bayescal.report.page.render_picture", render_picture)

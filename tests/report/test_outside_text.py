@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from bayescal.calibrated.machine import Source
-from bayescal.experiments.frame.results import Results, read_results, write_results
-from bayescal.experiments.frame.terminal import PlainConsole, Shown, print_table
+from bayescal.experiments.runner.results import Results, read_results, write_results
+from bayescal.experiments.runner.terminal import PlainConsole, TerminalColumn, print_table
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.files.plain_text import name_file
-from bayescal.loaded import LoadedResults
 from bayescal.report.pictures import render_picture
 from bayescal.report.symbols import LONGEST_NAME, make_label, quote, set_mathematics, set_parameter
+from bayescal.results import LoadedResults
 
 ESCAPE = "\x1b]0;title\x07\x1b[2J[red]x[/red]\u202e"
 SHOWN = r"\x1b]0;title\x07\x1b[2J[red]x[/red]\u202e"
@@ -30,7 +30,7 @@ def test_a_terminal_is_not_commanded(capsys):
     table.add_row(ESCAPE)
     console.print(ESCAPE)
     console.print(table)
-    print_table(console, [Shown(ESCAPE)], [[ESCAPE]])
+    print_table(console, [TerminalColumn(ESCAPE)], [[ESCAPE]])
     console.print("two\nlines")
     said = capsys.readouterr().out
     assert not {"\x1b", "\x07", "\u202e"} & set(said)

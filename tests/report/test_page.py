@@ -30,12 +30,14 @@ from bayescal.report.blocks import (
     Figure,
     Fold,
     Heading,
+    KeyFigure,
     Page,
+    PageSection,
     Preformatted,
-    Section,
     Side,
     Statement,
     choose_first,
+    count_sentences,
     make_table,
 )
 from bayescal.report.page import format_config, make_prose, render_page, set_symbol, show_provenance, write_page
@@ -57,7 +59,7 @@ def draw() -> Drawing:
 
 
 def make_page(*blocks: Block, level="good", finding=WICKED, lead="Found") -> Page:
-    section = Section("Table <1>", (WICKED, WICKED_TABLE, *blocks, Statement(WICKED, "bad")))
+    section = PageSection("Table <1>", (WICKED, WICKED_TABLE, *blocks, Statement(WICKED, "bad")))
     verdict = (Statement(finding, level, lead),)
     return Page("Kind", WICKED, WICKED, WICKED, WICKED, verdict, (section,), (("Machine", WICKED),))
 
@@ -114,15 +116,15 @@ def test_text_of_every_block_is_shown_and_escaped(block, times):
 
 
 def test_failures_stand_before_the_headline():
-    failed = replace(make_page(), failures=(Statement(WICKED, "bad"),), failures_title="Do not rely on this")
+    failed = replace(make_page(), failures=(Statement(WICKED, "bad"),))
     text = render_page(failed, {})
-    assert 'class="verdict failed"' in text
-    places = [text.index(word) for word in ("Do not rely on this", f"<li>{ESCAPED}", 'class="headline"')]
+    assert 'class="verdict bad"' in text
+    places = [text.index(word) for word in ("Not reliable:", f"<li>{ESCAPED}", 'class="headline"')]
     assert places == sorted(places)
 
 
 def test_links_of_the_page_lead_somewhere(tmp_path):
-    more = Section("Provenance", (), anchor="provenance")
+    more = PageSection("Provenance", (), anchor="provenance")
     text = write_page(make_page(), tmp_path, [more]).read_text(encoding="utf-8")
     targets = re.findall(r'href="#([^"]*)"', text)
     assert targets == ["verdict", "section-1", "provenance", "glossary"]
@@ -130,11 +132,18 @@ def test_links_of_the_page_lead_somewhere(tmp_path):
     assert not (tmp_path / "figures").exists()
 
 
-@pytest.mark.parametrize(("level", "failed"), [("good", False), ("plain", False), ("warning", False), ("bad", True)])
-def test_bad_news_mark_the_verdict(level, failed):
+@pytest.mark.parametrize("level", ["good", "plain", "warning", "bad"])
+def test_the_verdict_is_as_good_as_its_worst_finding(level):
     text = render_page(make_page(level=level, finding="It is so", lead="Lead"), {})
-    assert ('class="verdict failed"' in text) is failed
+    assert f'class="verdict {level}"' in text
     assert f'<li class="{level}"><strong>Lead.</strong> It is so</li>' in text
+
+
+def test_the_first_row_has_figures_with_units_and_colours():
+    text = render_page(replace(make_page(), key_figures=(KeyFigure(WICKED, WICKED, WICKED, "warning"),)), {})
+    (row,) = re.findall(r'<dl class="key-figures">(.*?)</dl>', text, re.DOTALL)
+    assert row.count('<div class="warning">') == 1
+    assert unescape(row).count(unescape(ESCAPED)) == 3
 
 
 def test_same_page_gives_same_bytes(tmp_path):
@@ -235,13 +244,23 @@ def test_a_cloud_that_is_smaller_as_pixels_is_a_fine_png():
     assert base64.b64decode(data[1])[16:24] == struct.pack(">II", 384, 192)
 
 
-def test_at_most_five_findings_are_seen_at_first_the_bad_ones_among_them():
-    findings = [Statement(str(k), level) for k, level in enumerate(["plain"] * 4 + ["good", "warning", "good", "bad"])]
-    shown, folded = choose_first(findings)
-    assert [one.text for one in shown] == ["0", "1", "2", "5", "7"]
-    assert [one.text for one in folded] == ["3", "4", "6"]
-    text = render_page(replace(make_page(), verdict=tuple(findings)), {})
-    assert "<summary>3 more findings" in text
+def test_few_sentences_are_seen_at_first_the_bad_ones_among_them():
+    levels = ["plain"] * 8 + ["good", "warning", "good", "bad"]
+    findings = tuple(Statement(str(k), level) for k, level in enumerate(levels))
+    page = replace(make_page(), verdict=findings)
+    shown, folded = choose_first(page)
+    assert [one.text for one in shown] == ["0", "1", "2", "3", "4", "9", "11"]  # and the headline
+    assert len(shown) + len(folded) == len(findings)
+    assert f"<summary>{len(folded)} more findings" in render_page(page, {})
+    several = replace(page, headline="One. Two. Three.", failures=(Statement("Four", "bad"),) * 9)
+    assert [one.text for one in choose_first(several)[0]] == ["9", "11"]
+
+
+@pytest.mark.parametrize(
+    ("text", "n"), [("", 0), ("One", 1), ("x = 0.3 mm.", 1), ("One (eq. 6). Two.", 2), ("P > 0.9. “Best” is first.", 2)]
+)
+def test_sentences_are_counted(text, n):
+    assert count_sentences(text) == n
 
 
 def test_terms_that_a_page_uses_are_explained_at_its_end():

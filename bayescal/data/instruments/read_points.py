@@ -20,7 +20,7 @@ from bayescal.data.instruments.read_poses import (
     OTHER_COLUMNS,
     QUATERNION,
     VECTOR,
-    Taken,
+    PoseRecords,
     check_positive,
     check_same_poses,
     choose_noise,
@@ -30,7 +30,7 @@ from bayescal.data.instruments.read_poses import (
 )
 from bayescal.data.instruments.readings import TrackedPoints
 from bayescal.errors import InputError
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -69,7 +69,7 @@ class Stations:
 
 def read_points(
     path: Path, probe: Path, stations: Path | None, actuators: Path, noise: PointNoise, n_legs: int
-) -> tuple[TrackedPoints, Taken]:
+) -> tuple[TrackedPoints, PoseRecords]:
     """Return tracked points, and when they were taken.
 
     InputError for unknown columns, poses, stations or points, points that stand twice, a pose without any, a covariance
@@ -89,7 +89,7 @@ def read_points(
     values[pose, station, point] = seen
     spread[pose, station, point] = turn @ covariance @ np.swapaxes(turn, -1, -2)
     readings = TrackedPoints(tuple(names), positions, standing.names, points, places, values, spread)
-    return readings, Taken(tuple(names), verification, positions)
+    return readings, PoseRecords(tuple(names), verification, positions)
 
 
 def read_probe(path: Path) -> tuple[tuple[str, ...], Array]:
@@ -119,7 +119,7 @@ def check_point_columns(path: Path, several: bool) -> None:
     table.numbers(CARTESIAN if table.has(CARTESIAN) else POLAR)
 
 
-def _read_table(path: Path, several: bool) -> Table:
+def _read_table(path: Path, several: bool) -> CsvTable:
     upper, lower = name_covariances("xyz")
     keys = ("pose", "station", "point") if several else ("pose", "point")
     maybe = () if several else ("station",)
@@ -133,7 +133,7 @@ def _read_table(path: Path, several: bool) -> Table:
 
 
 def _locate(
-    table: Table,
+    table: CsvTable,
     poses: list[str],
     stations: Stations,
     points: tuple[str, ...],
@@ -165,7 +165,7 @@ def _locate(
 # --- coordinates and noise ---------------------------------------------------------------------------------------
 
 
-def _read_coordinates(table: Table, noise: PointNoise) -> tuple[Array, Array]:
+def _read_coordinates(table: CsvTable, noise: PointNoise) -> tuple[Array, Array]:
     """Return coordinates (rows, 3) in the stations' frames, mm, and their covariances (rows, 3, 3), mm²."""
     if "x_mm" in table.columns:
         return table.numbers(CARTESIAN), _read_covariance(table, noise)
@@ -197,7 +197,7 @@ def convert_polar(reading: Array) -> tuple[Array, Array]:
     return distance[..., None] * along, np.stack([along, by_azimuth, by_elevation], axis=-1)
 
 
-def _read_covariance(table: Table, noise: PointNoise) -> Array:
+def _read_covariance(table: CsvTable, noise: PointNoise) -> Array:
     measured = np.ones((len(table.rows), 3), dtype=bool)
     covariance = read_covariances(table, "xyz", measured)
     same, each = table.has(SAME), table.has(DEVIATIONS)
@@ -215,7 +215,7 @@ def _read_covariance(table: Table, noise: PointNoise) -> Array:
     return np.asarray(covariance * MICROMETRE**2)
 
 
-def _read_polar_noise(table: Table, noise: PointNoise, distance: Array) -> Array:
+def _read_polar_noise(table: CsvTable, noise: PointNoise, distance: Array) -> Array:
     """Return standard deviations of range (mm) and angles (rad), shape (rows, 3)."""
     upper, _ = name_covariances("xyz")
     if any(name in table.columns for name in (*SAME, *DEVIATIONS, *upper)):

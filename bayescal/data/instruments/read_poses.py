@@ -27,7 +27,7 @@ from bayescal.data.actuators import check_calibration, name_actuators, read_actu
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
@@ -37,7 +37,7 @@ ASYMMETRY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Taken:
+class PoseRecords:
     """When readings were taken: names of P poses, which are for verification (P,), actuator positions (P, N), mm."""
 
     names: tuple[str, ...]
@@ -45,7 +45,7 @@ class Taken:
     actuators: Array
 
 
-def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
+def read_taken(table: CsvTable, path: Path | None, n_legs: int) -> PoseRecords:
     """Return the poses of a table that has a row for each, with actuator positions from it or from a table beside it.
 
     InputError for a pose that stands in one table only or twice, two tables with actuator positions or uses that
@@ -66,7 +66,7 @@ def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
         if uses is None:
             raise InputError(f"{table.path}: found no column 'use', expected it beside the actuator positions")
         check_calibration(table.path, uses)
-        return Taken(tuple(names), uses, table.numbers(columns))
+        return PoseRecords(tuple(names), uses, table.numbers(columns))
     known, verification, positions = read_actuators(path, n_legs)
     check_same_poses(table, names, known, path)
     places = {name: k for k, name in enumerate(known)}
@@ -75,10 +75,10 @@ def read_taken(table: Table, path: Path | None, n_legs: int) -> Taken:
         if uses is not None and uses[row] != verification[k]:
             raise InputError(f"{table.where(row)}: use: found another than in {path}, expected the same")
     check_calibration(path, verification)
-    return Taken(tuple(names), verification[order], positions[order])
+    return PoseRecords(tuple(names), verification[order], positions[order])
 
 
-def check_same_poses(table: Table, names: Sequence[str], known: Sequence[str], path: Path) -> None:
+def check_same_poses(table: CsvTable, names: Sequence[str], known: Sequence[str], path: Path) -> None:
     """Raise InputError where a table has a pose that the actuators' has not, or lacks one."""
     there, listed = set(names), set(known)
     for row, name in enumerate(names):
@@ -99,7 +99,7 @@ def name_covariances(components: Sequence[str]) -> tuple[tuple[str, ...], tuple[
     return upper, tuple(f"cov_{components[i]}_{components[j]}" for i, j in pairs if i > j)
 
 
-def read_covariances(table: Table, components: Sequence[str], measured: np.ndarray) -> Array | None:
+def read_covariances(table: CsvTable, components: Sequence[str], measured: np.ndarray) -> Array | None:
     """Return the covariances (rows, n, n) in a table's units; None where it has none.
 
     Entries of what was not measured may be empty, and do not count. InputError for a matrix that is not symmetric,
@@ -137,7 +137,7 @@ def read_covariances(table: Table, components: Sequence[str], measured: np.ndarr
     return result
 
 
-def check_positive(table: Table, covariance: Array, measured: np.ndarray) -> None:
+def check_positive(table: CsvTable, covariance: Array, measured: np.ndarray) -> None:
     """Raise InputError for the first row whose covariance (rows, n, n) of what was measured is not positive."""
     for row, (matrix, chosen) in enumerate(zip(covariance, measured, strict=True)):
         part = matrix[np.ix_(chosen, chosen)]
@@ -187,10 +187,10 @@ def name_angles(sequence: str) -> tuple[str, str, str]:
 
 ANGLES: dict[tuple[str, ...], str] = {ROLL_PITCH_YAW: FIXED, **{name_angles(one): one for one in SEQUENCES}}
 OTHER_COLUMNS = (*QUATERNION, *(name for names in ANGLES for name in names))
-"""Those that a table may have in place of a rotation vector's."""
+"""Those that a table may have instead of a rotation vector's."""
 
 
-def read_rotation_vectors(table: Table, prefix: str = "") -> Array:
+def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
     """Return rotation vectors in rad, shape (P, 3), of the form the table has; NaN where not measured.
 
     Columns begin with a prefix. InputError for two forms in one table, one that is there in part, a quaternion far from
@@ -224,7 +224,7 @@ def read_rotation_vectors(table: Table, prefix: str = "") -> Array:
     return result
 
 
-def _read_vectors(table: Table, names: Sequence[str]) -> Array:
+def _read_vectors(table: CsvTable, names: Sequence[str]) -> Array:
     values = np.full((len(table.rows), 3), np.nan)
     there = [k for k, name in enumerate(names) if name in table.columns]
     values[:, there] = table.numbers([names[k] for k in there], gaps=True)
@@ -260,7 +260,7 @@ class PoseNoise:
         return self.position_um is not None or self.orientation_arcsec is not None
 
 
-def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[TrackedPoses, Taken]:
+def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[TrackedPoses, PoseRecords]:
     """Return measured poses, and when they were taken.
 
     InputError for unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is
@@ -274,7 +274,7 @@ def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int
     return TrackedPoses(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
 
 
-def _read_columns(path: Path, actuators: tuple[str, ...]) -> Table:
+def _read_columns(path: Path, actuators: tuple[str, ...]) -> CsvTable:
     upper, lower = name_covariances(POSE)
     return read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *actuators, *OTHER_COLUMNS))
 
@@ -292,7 +292,7 @@ def check_pose_table(path: Path, noise: PoseNoise, actuators: tuple[str, ...]) -
     check_positive(table, covariance, np.isfinite(values))
 
 
-def _read_values(table: Table) -> Array:
+def _read_values(table: CsvTable) -> Array:
     """Return positions (mm) and rotation vectors (rad), shape (P, 6), NaN where not measured."""
     position = np.full((len(table.rows), len(POSITION)), np.nan)
     there = [k for k, name in enumerate(POSITION) if name in table.columns]
@@ -305,7 +305,7 @@ def _read_values(table: Table) -> Array:
     return values
 
 
-def read_noise(table: Table, noise: PoseNoise, measured: np.ndarray) -> Array:
+def read_noise(table: CsvTable, noise: PoseNoise, measured: np.ndarray) -> Array:
     """Return the covariances (P, 6, 6) in µm and µrad."""
     covariance = read_covariances(table, POSE, measured)
     deviations = [k for k, name in enumerate(DEVIATIONS) if name in table.columns]

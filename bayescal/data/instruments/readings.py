@@ -34,7 +34,7 @@ from bayescal.numerics.geometry import (
 )
 
 
-class Seen(NamedTuple):
+class StationObservation(NamedTuple):
     """What one station saw of one thing at P poses, in the base frame by the station's nominal place."""
 
     station: int
@@ -43,7 +43,7 @@ class Seen(NamedTuple):
     covariance: Array  # (P, c, c)
 
 
-class Tracked(ABC):
+class TrackedReadings(ABC):
     """What an instrument tracked at P poses."""
 
     names: tuple[str, ...]  # of the P poses
@@ -57,7 +57,7 @@ class Tracked(ABC):
         """The poses as read, base frame, all frames as they should be; NaN where a coordinate is not determined."""
 
     @abstractmethod
-    def see(self) -> list[Seen]:
+    def see(self) -> list[StationObservation]:
         """Return what was seen, station by station."""
 
     @abstractmethod
@@ -70,7 +70,7 @@ class Tracked(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedPoses(Tracked):
+class TrackedPoses(TrackedReadings):
     """Poses read by one instrument."""
 
     names: tuple[str, ...]
@@ -92,9 +92,9 @@ class TrackedPoses(Tracked):
         covariance = np.where(measured[:, :, None] & measured[:, None, :], self.covariance, np.nan)
         return MeasuredPoses(self.names, self.values[:, :3], rotation, covariance, self.actuators)
 
-    def see(self) -> list[Seen]:
+    def see(self) -> list[StationObservation]:
         """Return the poses."""
-        return [Seen(0, None, self.values, self.covariance)]
+        return [StationObservation(0, None, self.values, self.covariance)]
 
     def describe(self) -> dict[str, Any]:
         """Return which coordinates were measured."""
@@ -108,7 +108,7 @@ FLAT = 1e-6  # of the largest singular value of a cloud's Jacobian, lengths in u
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _StationFit:
     """The pose of points that one or several stations saw together, by weighted least squares."""
 
     position: Array
@@ -119,7 +119,7 @@ class _Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedPoints(Tracked):
+class TrackedPoints(TrackedReadings):
     """Points read by S stations, in the base frame by the stations' nominal places."""
 
     names: tuple[str, ...]
@@ -148,7 +148,7 @@ class TrackedPoints(Tracked):
 
     # --- fits ----------------------------------------------------------------------------------------------------
 
-    def _fit(self, pose: int, stations: list[int]) -> _Fit | None:
+    def _fit(self, pose: int, stations: list[int]) -> _StationFit | None:
         """Return the pose of what some stations saw at a pose together; None where their points do not tell it."""
         seen = self.seen[pose, stations]
         station, point = np.nonzero(seen)
@@ -167,10 +167,10 @@ class TrackedPoints(Tracked):
             if np.abs(step).max() < SETTLED:
                 break
         residual = np.einsum("qij,qj->qi", white, values - position - probe @ rotation.T)
-        return _Fit(position, rotation, np.linalg.inv(normal), float(np.sum(residual**2)), residual.size)
+        return _StationFit(position, rotation, np.linalg.inv(normal), float(np.sum(residual**2)), residual.size)
 
     @cached_property
-    def _fits(self) -> list[list[_Fit | None]]:
+    def _fits(self) -> list[list[_StationFit | None]]:
         """Fits of each station (S) at each pose (P)."""
         return [[self._fit(p, [s]) for s in range(len(self.stations))] for p in range(self.n_poses)]
 
@@ -181,7 +181,7 @@ class TrackedPoints(Tracked):
         fits = [one[0] if len(every) == 1 else self._fit(p, every) for p, one in enumerate(self._fits)]
         return MeasuredPoses(self.names, *self._gather(fits), self.actuators)
 
-    def _gather(self, fits: Sequence[_Fit | None]) -> tuple[Array, Array, Array]:
+    def _gather(self, fits: Sequence[_StationFit | None]) -> tuple[Array, Array, Array]:
         """Return positions (P, 3), rotations (P, 3, 3) and covariances (P, 6, 6) of fits; NaN where there is none."""
         n = self.n_poses
         position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
@@ -191,17 +191,20 @@ class TrackedPoints(Tracked):
                 position[p], rotation[p], covariance[p] = fit.position, fit.rotation, fit.covariance
         return position, rotation, covariance
 
-    def see(self) -> list[Seen]:
+    def see(self) -> list[StationObservation]:
         """Return each station's poses where its points determine them all, otherwise its points."""
         found = []
         for s in range(len(self.stations)):
             fits = [one[s] for one in self._fits]
             if all(fit is not None or not seen.any() for fit, seen in zip(fits, self.seen[:, s], strict=True)):
                 position, rotation, covariance = self._gather(fits)
-                found.append(Seen(s, None, np.concatenate([position, turn_of(rotation)], axis=1), covariance))
+                found.append(
+                    StationObservation(s, None, np.concatenate([position, turn_of(rotation)], axis=1), covariance)
+                )
             else:
                 found += [
-                    Seen(s, point, self.values[:, s, q], self.covariance[:, s, q]) for q, point in enumerate(self.probe)
+                    StationObservation(s, point, self.values[:, s, q], self.covariance[:, s, q])
+                    for q, point in enumerate(self.probe)
                 ]
         return found
 
@@ -224,13 +227,13 @@ def turn_of(rotation: Array) -> Array:
     return np.where(known, rotation_vector_from_matrix(np.where(known[..., None], rotation, np.eye(3))), np.nan)
 
 
-UNLIKE, ALIKE = 0.5, 0.2  # misfits as shares of the expected change
-ASTRAY = 0.3  # of the distance of points from their station
+UNLIKE, SIMILAR = 0.5, 0.2  # misfits as shares of the expected change
+MAX_RANGE_FRACTION = 0.3  # of the distance of points from their station
 LENGTHS = {1e3: "metres", 1e-3: "micrometres", 25.4: "inches"}
 ANGLES = {180.0 / np.pi: "radians", np.pi / 180.0: "sixtieths of degrees"}
 
 
-def check_units(machine: Machine, instrument: Tracked, path: Path) -> None:
+def check_units(machine: Machine, instrument: TrackedReadings, path: Path) -> None:
     """Raise InputError where another unit explains readings that the nominal machine does not."""
     standing = machine.mechanism.place_actuators(instrument.actuators)
     found = solve_forward_kinematics(machine, machine.layout.nominal, standing, check=False)
@@ -255,7 +258,7 @@ def _compare(found: Array, expected: Array, units: dict[float, str], what: str, 
     if np.linalg.norm(change - wanted) <= UNLIKE * spread:
         return
     for factor, word in units.items():
-        if np.linalg.norm(factor * change - wanted) < ALIKE * spread:
+        if np.linalg.norm(factor * change - wanted) < SIMILAR * spread:
             raise InputError(f"{path}: found {what} that change from pose to pose as if in {word}, expected {unit}")
 
 
@@ -271,9 +274,9 @@ def check_places(machine: Machine, readings: TrackedPoints, places: Array, path:
         off = np.linalg.norm(readings.values[:, s] - points, axis=-1)[seen]
         away = np.linalg.norm(points - places[s], axis=-1)[seen]
         rms, distance = float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(away**2)))
-        if rms > ASTRAY * distance:
+        if rms > MAX_RANGE_FRACTION * distance:
             raise InputError(
                 f"{path}: station {name!r}: found its points {rms:.4g} mm (rms) from where the nominal machine has "
-                f"them, expected less than {ASTRAY * distance:.4g} mm: angles in degrees, lengths in mm, the station's "
-                "own place and direction"
+                f"them, expected less than {MAX_RANGE_FRACTION * distance:.4g} mm: angles in degrees, lengths in mm, "
+                "the station's own place and direction"
             )

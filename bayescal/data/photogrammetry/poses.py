@@ -93,7 +93,7 @@ def _explain(error: PoseInputError, body: BodyTargets, noise: float) -> str:
 
 SUSPECT = 10.0
 """Noises by which targets are off their body, rms, before anything is tried."""
-BETTER = 5.0
+MIN_EXCHANGE_RATIO = 5.0
 """Factor by which an exchange has to reduce the misfit to be its cause."""
 WORST = 10
 """Targets that are tried, those farthest off."""
@@ -140,7 +140,7 @@ def find_exchanged(reference: Array, measured: Array, noise: float) -> tuple[tup
     best = int(np.argmin(tried))
     factor = stated / max(float(tried[best]), noise)
     one, other = pairs[best]
-    return ((int(seen[one]), int(seen[other])), factor) if factor > BETTER else None
+    return ((int(seen[one]), int(seen[other])), factor) if factor > MIN_EXCHANGE_RATIO else None
 
 
 def _misfit(reference: Array, measured: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from bayescal.data.actuators import check_calibration, read_actuators
 from bayescal.data.photogrammetry.rigid_fit import is_collinear
 from bayescal.errors import InputError
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.numerics.geometry import Array
 
 TARGET_COLUMNS = ("pose", "body", "target", "x_mm", "y_mm", "z_mm")
@@ -96,7 +96,7 @@ def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nda
 
 
 def _read_targets(
-    table: Table,
+    table: CsvTable,
     poses: list[str],
     known: dict[str, tuple[list[str], np.ndarray, Array]],
     actuators: Path,

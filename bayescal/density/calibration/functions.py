@@ -6,7 +6,7 @@ Function k errs a channel by a random function of an input z that is known, the 
 
 z being the channel's own reading, the machine's coordinates as read from some channels, or the order of the rows; κ as
 in `bayescal.density.priors`. Readings count as their travel from home in units of their range. That z is taken
-from readings with their error and noise in place of the true ones changes g by g' (g + ε), of relative size s over the
+from readings with their error and noise instead of the true ones changes g by g' (g + ε), of relative size s over the
 range: some 1e-4.
 
 How large such functions are in directions that the geometry imitates cannot be learnt from those that it does not: the
@@ -29,7 +29,7 @@ from pydantic import Field, model_validator
 
 from bayescal.config.sections import Names, Positive, Section
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.terms import ErrorTerm, Slopes, TermRows
+from bayescal.density.calibration.terms import ErrorTerm, TermDerivatives, TermRows
 from bayescal.density.priors import (
     BORDER,
     LENGTH,
@@ -65,11 +65,11 @@ class FunctionConfig(Section):
 
     channels: Annotated[Names, Field(min_length=1)] | None = None
     """Channels, kinds or groups of them that err so; the machine's own where nothing is said."""
-    of: Input = "reading"
+    input: Input = "reading"
     """What they are functions of: each channel's own `reading` (its command, or what the fitted machine reads at the
     row's pose), where the machine stands by its own channels (`commands`), or the `order` of the rows.
     """
-    inputs: Annotated[Names, Field(min_length=1)] | None = None
+    input_channels: Annotated[Names, Field(min_length=1)] | None = None
     """Channels that say where the machine stands; those commanded, or all of its own, where nothing is said."""
     kernel: Literal["linear", "quadratic", "smooth"] = "smooth"
     """What sort of functions: `linear`, `quadratic` (linear and quadratic), or `smooth`."""
@@ -87,16 +87,16 @@ class FunctionConfig(Section):
     """The same."""
     scale_rad: Positive | None = None
     """The same."""
-    spread: Positive = 0.05
+    log_scale_sd: Positive = 0.05
     """Standard deviation of the logarithm of that scale [1]."""
-    length: Positive = 5.0
+    length_scale: Positive = 5.0
     """Over how far quadratic and smooth functions change [ranges]."""
-    length_spread: Positive | None = None
+    log_length_scale_sd: Positive | None = None
     """Standard deviation of the logarithm of that length, free about its median; it is known where nothing is said
     [1].
     """
-    per: Literal["channel", "all"] = "all"
-    """Whether each `channel` has a scale and a switch of its own, or `all` share them."""
+    shared: bool = True
+    """Whether all channels share a scale and a switch, or each has its own."""
 
     @model_validator(mode="after")
     def _check_scale(self) -> Self:
@@ -175,20 +175,20 @@ class FunctionErrors(ErrorTerm):
         """
         places, channels = rows.select(config.channels), rows.model.channels
         scale = [config.scale_in(channels[k].name, channels[k].unit) for k in places]
-        labels = tuple(f"{rows.name}, {channels[k].name}" for k in places) if config.per == "channel" else (rows.name,)
+        labels = (rows.name,) if config.shared else tuple(f"{rows.name}, {channels[k].name}" for k in places)
         travel = _build_travel(config, rows, places)
         z = travel.of_rows(rows.data)
-        free = config.length_spread is not None and config.kernel in LENGTHY
+        length_sd = config.log_length_scale_sd if config.kernel in LENGTHY else None
         return cls(
             kernel=config.kernel,
-            length=config.length,
-            lengths=LogNormalPrior(config.length, config.length_spread) if free and config.length_spread else None,
+            length=config.length_scale,
+            lengths=None if length_sd is None else LogNormalPrior(config.length_scale, length_sd),
             places=places,
             travel=travel,
             reach=MARGIN * max(1.0, float(np.abs(z).max())),
-            group=np.arange(len(places)) if config.per == "channel" else np.zeros(len(places), dtype=int),
+            group=np.zeros(len(places), dtype=int) if config.shared else np.arange(len(places)),
             scale=np.array(scale[: len(labels)]),
-            spread=config.spread,
+            spread=config.log_scale_sd,
             labels=labels,
             scale_units=tuple(channels[k].unit for k in places[: len(labels)]),
             length_name=f"{LENGTH}({rows.name})",
@@ -297,7 +297,7 @@ class FunctionErrors(ErrorTerm):
             result[:, :, place, k] = own[:, :, k]
         return result.reshape(batch, n_poses, -1, n * r)
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return Φ's by each scale, s dΦ/ds, and for a free length one that changes ΦΦᵀ as that does."""
         found, m = np.zeros((len(zeta), *self.columns(zeta[None], data).shape[1:])), len(self.scale)
         root, scales = self._root_at(zeta[None])[0], self.scales(zeta)[self.group]
@@ -311,23 +311,23 @@ class FunctionErrors(ErrorTerm):
             by_length = self._kernel_at(length).slope(self.nodes, self.nodes)[0] * inside  # of their covariance
             turn = 0.5 * self.lengths.spread * by_length @ np.linalg.pinv(root).T
             found[m] = self._spread_out((weights @ turn * scales[:, None])[None], data)[0]
-        return Slopes(columns=found)
+        return TermDerivatives(columns=found)
 
 
 def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) -> Travel:
     """Return what functions of channels depend on; InputError where a row lacks it, or it does not change."""
-    if config.of == "order":
+    if config.input == "order":
         return Travel("order", np.zeros(0, dtype=int), np.zeros(1), np.full(1, max(1.0, float(rows.data.order.max()))))
-    inputs = places if config.of == "reading" else rows.select(config.inputs)
-    if config.of == "commands" and config.inputs is None and rows.data.commanded is not None:
+    inputs = places if config.input == "reading" else rows.select(config.input_channels)
+    if config.input == "commands" and config.input_channels is None and rows.data.commanded is not None:
         inputs = np.flatnonzero(rows.data.commanded.any(axis=0))
     names = rows.model.names
     for k in inputs[~(rows.reach[inputs] > 0.0)][:1]:
         raise InputError(f"found {names[k]}, which does not change over the workspace, expected channels that do")
-    if config.of == "commands":
+    if config.input == "commands":
         for row, k in np.argwhere(~rows.data.present[:, inputs])[:1]:
             raise InputError(
                 f"pose {rows.data.poses[row]!r}: found no reading of {names[inputs[k]]}, expected one, for errors are "
                 "functions of it"
             )
-    return Travel(config.of, inputs, rows.home[inputs], rows.reach[inputs], rows.positions.pick(inputs))
+    return Travel(config.input, inputs, rows.home[inputs], rows.reach[inputs], rows.positions.pick(inputs))

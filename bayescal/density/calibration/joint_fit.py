@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.elimination import Whitening, invert, left_of
 from bayescal.density.low_rank import find_coefficients, gather_columns
 from bayescal.density.outliers import Outliers
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 DAMPING, LARGEST_DAMPING = 1e-3, 1e12
 GAIN = 1e-12  # of the squares, below which the search has arrived
-STILL = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
+MIN_STEP = 1e-8  # of a coordinate, below which a step that leads nowhere is the last: shorter ones lead nowhere, too
 MAX_ITERATIONS = 200
 
 
@@ -35,7 +35,7 @@ class JointFit:
 
     likelihood: CalibrationLikelihood
     sampling: Sampling
-    errors: Errors
+    errors: ErrorModel
     zeta: Array  # (k,): coordinates of the errors
 
     @cached_property
@@ -71,7 +71,7 @@ class JointFit:
             rest, new = self._cost(other, there[0], columns)
             done = abs(cost - new) < GAIN * max(cost, 1.0)
             if not new < cost:
-                still = (done and damping <= DAMPING) or np.max(np.abs(move), initial=0.0) < STILL
+                still = (done and damping <= DAMPING) or np.max(np.abs(move), initial=0.0) < MIN_STEP
                 damping *= 4.0
                 if still or damping > LARGEST_DAMPING:
                     break

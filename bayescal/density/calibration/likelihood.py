@@ -9,22 +9,22 @@ from typing import Self
 
 import numpy as np
 
-from bayescal.density.calibration.frozen import FrozenRows
+from bayescal.density.calibration.fixed_covariance import FixedCovarianceRows
+from bayescal.density.calibration.independent_rows import IndependentRowsLikelihood
 from bayescal.density.calibration.joint_fit import JointFit
-from bayescal.density.calibration.lone_rows import LoneRows
-from bayescal.density.calibration.poses import MANY_ROWS, PoseElimination, Stand
-from bayescal.density.calibration.terms import CommonDraws, Errors
+from bayescal.density.calibration.poses import MANY_ROWS, PoseElimination, PoseEstimate
+from bayescal.density.calibration.terms import CommonDraws, ErrorModel
 from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, half_log_volume, invert, left_of, orthonormalise, project_out
 from bayescal.density.low_rank import Coefficients, find_coefficients, split
-from bayescal.density.posterior import Elimination, Funnel, Posterior, Sampling
+from bayescal.density.posterior import Elimination, Posterior, Sampling, ScaleDependence
 from bayescal.density.priors import Prior
 from bayescal.density.sampling import build_sampling
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.threads import map_in_threads
 
-STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
+VOLUME_STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GOOD, ROUGH = 0.1, 0.4  # of what the log-density differs by among them: a fast form that is off by it is good, or bad
 LEAST_DIFFERENCE = 15.0  # nats that these count at least for: few parameters differ by less than errors of a matrix do
@@ -32,7 +32,7 @@ LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
 
 @dataclass(frozen=True, eq=False)
-class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
+class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
     """Log-density of the readings of P poses under machines θ (B, D) and errors with coordinates ζ (B, k).
 
     ``frozen`` and ``lone``: fast forms of it about a machine that explains the readings, where errors are functions of
@@ -41,8 +41,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     functions of the pose may hide parameters, which coordinates then follow.
     """
 
-    frozen: FrozenRows | None = None
-    lone: LoneRows | None = None
+    frozen: FixedCovarianceRows | None = None
+    lone: IndependentRowsLikelihood | None = None
     straight: bool = True
     hidden: bool = True
     begin: Array | None = (
@@ -67,13 +67,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def begin_at(self, sampling: Sampling) -> Array:
         """Return the coordinates (m,) from which searches begin; see `Elimination.begin_at`."""
-        return super().begin_at(sampling) if self.begin is None else sampling.adopt(self.begin[None])[0]
+        return super().begin_at(sampling) if self.begin is None else sampling.to_coordinates(self.begin[None])[0]
 
-    def noise(self, errors: Errors, zeta: Array) -> tuple[Array, Array]:
+    def noise(self, errors: ErrorModel, zeta: Array) -> tuple[Array, Array]:
         """Return f σ (B, P, K) and the root of the variances beside (B, 1 or P, K)."""
         return errors.noise(zeta, self.data, self.sd)
 
-    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
+    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> PoseEstimate:
         """Return machines (C, D) where they explain the readings best; see `PoseElimination.stand`."""
         if self.lone is not None and start is None:
             return self.lone.stand(self, theta, white)
@@ -85,14 +85,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             return self.lone.read(self, theta, pose)
         return self._near.read(theta[:, None], pose, self._given)
 
-    def explain(self, theta: Array, errors: Errors, zeta: Array) -> tuple[Whitening, Stand]:
+    def explain(self, theta: Array, errors: ErrorModel, zeta: Array) -> tuple[Whitening, PoseEstimate]:
         """Return the whitening, and where machines explain the readings best."""
         white = self.whiten(*self.noise(errors, zeta))
         return white, self.stand(theta, white)
 
     # --- density -------------------------------------------------------------------------------------------------
 
-    def density(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+    def density(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
         if self._is_by_row(errors) or not errors.has_columns:
             return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
@@ -108,11 +108,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
                 total[part][some] = weighed.sum(axis=1) + found.penalty
         return total
 
-    def _is_by_row(self, errors: Errors) -> bool:
+    def _is_by_row(self, errors: ErrorModel) -> bool:
         """Whether each row counts by itself in the fast form."""
         return self.lone is not None and (not errors.has_columns or errors.is_common_known)
 
-    def density_by_row(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+    def density_by_row(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
         result = np.empty((len(theta), self.data.n_poses))
         if self.frozen is not None:
@@ -140,7 +140,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
     def _alone(self) -> dict[int, Self]:
         return {}
 
-    def density_of_row(self, theta: Array, errors: Errors, zeta: Array, row: int) -> Array:
+    def density_of_row(self, theta: Array, errors: ErrorModel, zeta: Array, row: int) -> Array:
         """Return the log-likelihood of one pose's readings given all others, shape (B,)."""
         if errors.has_columns:
             return super().density_of_row(theta, errors, zeta, row)
@@ -148,7 +148,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             self._alone[row] = self.pick(np.array([row]))
         return self._alone[row].density_by_row(theta, errors, zeta)[:, 0]
 
-    def density_of_others(self, other: Self, theta: Array, errors: Errors, zeta: Array) -> Array:
+    def density_of_others(self, other: Self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-density of each of Q other poses' readings given these, shape (B, Q)."""
         if not errors.has_columns:
             return other.density_by_row(theta, errors, zeta)
@@ -167,14 +167,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
                 result[part][some] = other.offset(beyond, there) + given
         return np.where(np.isfinite(result), result, -np.inf)
 
-    def residuals(self, theta: Array, errors: Errors, zeta: Array) -> Array:
+    def residuals(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return white residuals of the best poses and of the mean errors common to all rows, shape (B, P, K)."""
         white, at = self.explain(theta, errors, zeta)
         if not errors.has_columns:
             return at.error
         return np.concatenate([found.residual for _, found in self._absorb(errors, zeta, white, at)])
 
-    def finer(self) -> Self | None:
+    def exact(self) -> Self | None:
         """Return the density that is not frozen; None where it is none.
 
         That of rows by themselves is close enough to be explored; `whole` corrects what was found.
@@ -191,25 +191,27 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         """The same with each parameter by itself for a coordinate, standard normal under the prior."""
         return replace(self, straight=False)
 
-    def _explain_in_parts(self, theta: Array, errors: Errors, zeta: Array) -> Iterator[tuple[slice, Whitening, Stand]]:
+    def _explain_in_parts(
+        self, theta: Array, errors: ErrorModel, zeta: Array
+    ) -> Iterator[tuple[slice, Whitening, PoseEstimate]]:
         """Yield machines that are looked at together, with whitening and where they explain readings best."""
         for part in self.batches(len(theta)):
             yield part, *self.explain(theta[part], errors, zeta[part])
 
     # --- errors common to all rows -------------------------------------------------------------------------------
 
-    def columns(self, errors: Errors, zeta: Array, white: Whitening, slope: Array) -> Array:
+    def columns(self, errors: ErrorModel, zeta: Array, white: Whitening, slope: Array) -> Array:
         """Return what coefficients do to white readings that are free of the poses, (B, P, K, N), for slopes H."""
         acted = self.white_columns(errors, zeta, white)
         with np.errstate(all="ignore"):
             axes = orthonormalise(slope)
             return np.asarray(acted - axes @ (np.swapaxes(axes, -1, -2) @ acted))
 
-    def white_columns(self, errors: Errors, zeta: Array, white: Whitening) -> Array:
+    def white_columns(self, errors: ErrorModel, zeta: Array, white: Whitening) -> Array:
         """Return what coefficients do to white readings at poses that stay, (B, P, K, N)."""
         return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data, self.error_gain), 0.0))
 
-    def draw_common(self, theta: Array, errors: Errors, zeta: Array, rng: np.random.Generator) -> CommonDraws:
+    def draw_common(self, theta: Array, errors: ErrorModel, zeta: Array, rng: np.random.Generator) -> CommonDraws:
         """Return draws of the errors common to all rows, one for each machine."""
         if not errors.has_columns:
             return CommonDraws(errors, ())
@@ -220,7 +222,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         parts = [(zeta[some], found.draw(at.error[some], rng)) for some, found in absorbed]
         return CommonDraws(errors, tuple(parts))
 
-    def _absorb(self, errors: Errors, zeta: Array, white: Whitening, at: Stand) -> Iterator[tuple[slice, Coefficients]]:
+    def _absorb(
+        self, errors: ErrorModel, zeta: Array, white: Whitening, at: PoseEstimate
+    ) -> Iterator[tuple[slice, Coefficients]]:
         """Yield the coefficients of errors common to all rows given the readings, of machines worked on together."""
         n_columns = errors.columns(zeta[:1], self.data).shape[-1]
         (n_machines, n_poses, n_channels), signs = at.error.shape, errors.signs(self.data)
@@ -236,7 +240,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         error, slope, by_parameters = self.linearise(theta[None], pose, white, with_parameters=True)
         return error[0], slope[0], by_parameters[0] @ change
 
-    def reduced_rows(self, theta: Array, change: Array, errors: Errors, zeta: Array) -> tuple[Array, Array]:
+    def reduced_rows(self, theta: Array, change: Array, errors: ErrorModel, zeta: Array) -> tuple[Array, Array]:
         """Return white residuals that no pose explains (P, K), and their derivatives (P, K, m + N), at θ (D,), ζ (k,).
 
         The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
@@ -254,7 +258,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         rows = left @ np.concatenate([by_parameters, common], axis=-1)
         return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
 
-    def inform(self, theta: Array, change: Array, errors: Errors, zeta: Array) -> Array:
+    def inform(self, theta: Array, change: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the information of the data on the geometry's coordinates, shape (m, m)."""
         m, rows = change.shape[1], self.reduced_rows(theta, change, errors, zeta)[1]
         whole = np.einsum("pki,pkj->ij", rows, rows, optimize=True)
@@ -263,13 +267,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         prior = np.eye(len(inner)) if signs is None else np.diag(signs)
         return np.asarray(whole[:m, :m] - across.T @ np.linalg.solve(prior + inner, across))
 
-    def inform_row(self, theta: Array, change: Array, errors: Errors, zeta: Array, row: int) -> Array:
+    def inform_row(self, theta: Array, change: Array, errors: ErrorModel, zeta: Array, row: int) -> Array:
         """Return what one pose's readings tell of the geometry, shape (m, m)."""
         rows = self.reduced_rows(theta, change, errors, zeta)[1][row, :, : change.shape[1]]
         return np.asarray(rows.T @ rows)
 
     def differentiate(
-        self, theta: Array, change: Array, errors: Errors, zeta: Array, newton: bool
+        self, theta: Array, change: Array, errors: ErrorModel, zeta: Array, newton: bool
     ) -> tuple[Array, Array]:
         """Return gradient and Gauss and Newton's Hessian of the log-likelihood; see `Elimination.differentiate`.
 
@@ -312,7 +316,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     def _differentiate_by_errors(
         self,
-        errors: Errors,
+        errors: ErrorModel,
         zeta: Array,
         white: Whitening,
         left: Array,
@@ -342,7 +346,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         self,
         theta: Array,
         change: Array,
-        errors: Errors,
+        errors: ErrorModel,
         zeta: Array,
         white: Whitening,
         slope: Array,
@@ -358,16 +362,18 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             by_parameters = self.differentiate_volume(theta, white, slope)
             if by_parameters is not None:
                 return np.asarray(by_parameters @ change)
-        n, moves = m + k, STEP * np.eye(m + k)
+        n, moves = m + k, VOLUME_STEP * np.eye(m + k)
         both = np.concatenate([moves, -moves])
         machines = theta + both[:, :m] @ change.T
         noises = np.repeat(zeta[None], 2 * n, axis=0)
         noises[:, :k] += both[:, m:]
         parts = [self._log_volume(machines[part], errors, noises[part], white, turn) for part in self.batches(2 * n)]
         values = np.concatenate(parts)
-        return np.asarray((values[:n] - values[n:]) / (2.0 * STEP))
+        return np.asarray((values[:n] - values[n:]) / (2.0 * VOLUME_STEP))
 
-    def _log_volume(self, theta: Array, errors: Errors, zeta: Array, reference: Whitening, turn: Array | None) -> Array:
+    def _log_volume(
+        self, theta: Array, errors: ErrorModel, zeta: Array, reference: Whitening, turn: Array | None
+    ) -> Array:
         """Return log-volumes of machines where they explain readings best, (B,), with those of coefficients and -r H δ.
 
         The last is by H of a whitening that stays: as the noise changes H is scaled, which is no turn.
@@ -375,7 +381,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         white, at = self.explain(theta, errors, zeta)
         near = self.expansion if self.is_near(theta).all() else None  # H of a pose close by for machines much alike
         raw = self.linearise_raw(theta, at.pose)[1] if near is None else near.predict(theta)[1]
-        there = Stand(at.pose, at.error, white.rows(raw))
+        there = PoseEstimate(at.pose, at.error, white.rows(raw))
         volume = self.log_volume(there, white).sum(axis=1)
         if turn is None:
             return volume
@@ -386,24 +392,24 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     # --- search for the mode -------------------------------------------------------------------------------------
 
-    def approach(self, sampling: Sampling, errors: Errors) -> Array:
+    def least_squares_start(self, sampling: Sampling, errors: ErrorModel) -> Array:
         """Return the least-squares solution from the machine as expected, shape (n,)."""
         return self._fit(sampling, errors)[0]
 
-    def polish(self, sampling: Sampling, errors: Errors, y: Array) -> Array:
+    def refine_geometry(self, sampling: Sampling, errors: ErrorModel, y: Array) -> Array:
         """Return y with the geometry that is best, by least squares, at its noise."""
         m = sampling.size
         theta, zeta = sampling.theta_from_y(y[None, :m]), y[None, m:]
         pose = self.explain(theta, errors, zeta)[1].pose[0]
         return np.append(JointFit(self, sampling, errors, y[m:]).run(y[:m], pose)[0], y[m:])
 
-    def _fit(self, sampling: Sampling, errors: Errors) -> tuple[Array, Array]:
+    def _fit(self, sampling: Sampling, errors: ErrorModel) -> tuple[Array, Array]:
         """Return coordinates (n,) and poses (P, q) of least squares, from the machine as expected."""
         zeta = np.zeros(errors.n_parameters)
         y, pose = JointFit(self, sampling, errors, zeta).run(self.begin_at(sampling), self.start)
         return np.append(y, zeta), pose
 
-    def anchored(self, sampling: Sampling, errors: Errors) -> Self:
+    def with_pose_guesses(self, sampling: Sampling, errors: ErrorModel) -> Self:
         """Return the same density that looks for poses from those of the least-squares solution."""
         alone = errors.without_columns() if errors.list_acts(self.data) else errors
         (y, pose), m = self._fit(sampling, alone if errors.is_common_known else errors), sampling.size
@@ -414,8 +420,10 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         with np.errstate(all="ignore"):  # one of them may be no machine
             error = near.density(every, alone, zeta) - exact.density(every, alone, zeta)
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
-        frozen = FrozenRows.build(found, errors, theta)
-        lone = LoneRows.build(found, errors if errors.is_common_known else errors.without_columns(), theta)
+        frozen = FixedCovarianceRows.build(found, errors, theta)
+        lone = IndependentRowsLikelihood.build(
+            found, errors if errors.is_common_known else errors.without_columns(), theta
+        )
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
         if lone is not None and off > GOOD:  # slopes whose scale changes with the machine, or poses that go far
@@ -423,7 +431,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
             fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
         return fast if off < ROUGH else replace(fast, lone=None)
 
-    def _find_roughness(self, theta: Array, errors: Errors) -> float:
+    def _find_roughness(self, theta: Array, errors: ErrorModel) -> float:
         """Return by how much the fast form for single rows is off from what leaves nothing out, at machines (N, D).
 
         As a share of what these differ by: along ridges that bend they lie far off, and all is off by as much more.
@@ -456,14 +464,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
     # --- straightening -------------------------------------------------------------------------------------------
 
-    def funnel_errors(self, errors: Errors, zeta: Array) -> Array:
+    def funnel_errors(self, errors: ErrorModel, zeta: Array) -> Array:
         """Return the noise of each group of channels over the stated one, (B, k) to (B, N), rms of its readings."""
         own, tau = self.noise(errors, zeta)
         there, square = self.data.present, (own**2 + tau**2) / self.sd**2
         mine = there * errors.groups(there.shape[1])[:, None]
         return np.sqrt(np.einsum("bpk,gpk->bg", square, mine) / np.maximum(mine.sum(axis=(1, 2)), 1))
 
-    def linear_rows(self, sampling: Sampling, errors: Errors, y: Array, cause: str = "") -> LinearRows | None:
+    def linear_rows(self, sampling: Sampling, errors: ErrorModel, y: Array, cause: str = "") -> LinearRows | None:
         """Return rows as linear in the geometry about y, shape (n,); None where all of their noise is known.
 
         None, too, before a machine is known that explains the readings, where errors common to all rows are not frozen,
@@ -496,7 +504,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
 
         return LinearRows(np.zeros((sampling.size,) * 2), np.zeros(sampling.size), square)
 
-    def funnel(self, sampling: Sampling, errors: Errors, y: Array) -> Funnel | None:
+    def scale_dependence(self, sampling: Sampling, errors: ErrorModel, y: Array) -> ScaleDependence | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
         if not errors.has_noise:
             return None
@@ -527,9 +535,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         parts /= share[:, None, None]
         known = (groups * errors.is_known(rows.shape[1])).any(axis=1)
         parts[known] = information - parts[~known].sum(axis=0)
-        return Funnel(information, prior, np.maximum(tau**2 * (1.0 / share - 1.0), 1e-12), tau, parts)
+        return ScaleDependence(information, prior, np.maximum(tau**2 * (1.0 / share - 1.0), 1e-12), tau, parts)
 
-    def _share_of_unknown(self, errors: Errors, left: Array, groups: Array) -> Array:
+    def _share_of_unknown(self, errors: ErrorModel, left: Array, groups: Array) -> Array:
         """Return how much of what groups of channels (N, K) are compared with has noise that is not known, shape (N,).
 
         What poses leave of reading k, Σ_l Π_kl r_l by a projection (P, K, K), has Π_kl² of its variance from reading l.
@@ -543,5 +551,5 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, Errors]):
         return np.maximum(1.0 - from_known / np.where(every > 0.0, every, 1.0), LEAST_SHARE)
 
 
-type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, Errors]
+type CalibrationPosterior = Posterior[CalibrationLikelihood, Sampling, ErrorModel]
 """The posterior of any machine, from its readings."""

@@ -12,7 +12,7 @@ from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, compute_left_jacobian
 
 AT_ONCE = 2048  # poses of which many draws are looked at together
-SMALL = 1e-150  # of the sine of half a turn, whose square is no number
+MIN_SINE = 1e-150  # of the sine of half a turn, whose square is no number
 CONSTRAINT = 1e-4
 """Noise of a reading that is stated to have none, in units of the smallest other one of its unit, or of any: its square
 no longer shows."""
@@ -88,7 +88,7 @@ class Measurements:
         return replace(self, values=values, commanded=commanded)
 
     def with_constraints(self, units: Sequence[str]) -> Measurements:
-        """Return the measurements with a noise that no longer shows in place of none, by the units of K channels."""
+        """Return the measurements with a noise that no longer shows instead of none, by the units of K channels."""
         sd, noisy = self.sd.copy(), self.present & (self.sd > 0.0)
         for unit in dict.fromkeys(units):
             alike = np.array([other == unit for other in units])
@@ -218,7 +218,7 @@ def _turn(measured: Array, read: Array) -> Array:
     real = w * v + (x * y).sum(axis=-1)
     other = v[..., None] * x - w[..., None] * y - np.cross(x, y)
     sine = np.linalg.norm(other, axis=-1)
-    small = sine < SMALL
+    small = sine < MIN_SINE
     turn = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(real)) / np.where(small, 1.0, sine))
     return np.asarray(np.where(real < 0.0, -turn, turn)[..., None] * other)
 

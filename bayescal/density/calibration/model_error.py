@@ -10,7 +10,7 @@ calibration rows. Travel z is where a channel stands beyond the middle of the wo
 over which it moves there: its command, or the reading that is expected at the row's pose (`RowPositions`). τ and s are
 lengths at the tool: root mean squares in mm. A channel in another unit has a lever λ, by how many millimetres one unit
 of it moves the tool; one that reads lengths has λ = 1. Linear functions that free parameters are, such as a lead error
-of channels whose gains are free, are no second unknown (`OwnChannels.cover`). Waves and smooth functions keep the
+of channels whose gains are free, are no second unknown (`OwnChannelRows.cover`). Waves and smooth functions keep the
 linear part that their kernel has: how large it is follows from how far they bend.
 
 Functions are columns that all rows share, Φ = s / λ · R with R Rᵀ = k / c over all rows, those that are held back too;
@@ -28,18 +28,28 @@ from typing import ClassVar, Self
 import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, Slopes
+from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, TermDerivatives
 from bayescal.density.elimination import project_out
+from bayescal.density.pose_kernels import (
+    FEWEST_POSES,
+    MOST_DRIFT,
+    MOST_SMOOTH,
+    OWN_COLUMNS,
+    TAU,
+    KernelInput,
+    PoseFunctions,
+)
 from bayescal.density.priors import HalfCauchyPrior, Prior
-from bayescal.density.sorts import FEWEST_POSES, MOST_DRIFT, MOST_SMOOTH, OWN_COLUMNS, TAU, Place, PoseFunctions
 from bayescal.machines.readings import Given, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
-SMALLEST = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
-BY_ROW = ("own", "smooth", "drift")  # sorts with as many coefficients as there are rows
-STILL = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
-LEAST_LEVER = 0.3  # of the median, by which a standard deviation of the channels' noise moves the tool
+MIN_EIGENVALUE = 1e-9  # of a kernel's largest eigenvalue, below which directions are left out
+BY_ROW = ("positioning", "smooth", "drift")  # sorts with as many coefficients as there are rows
+MIN_TRAVEL_MM = 1e-6  # mm over its range, by which a channel moves the tool, below which it does not
+MIN_LEVER_RATIO = 0.6
+"""Share of the usual lever, by the channels' noise, that levers are not below, nor beyond its inverse. By how much each
+joint errs is unknown: between errors of the same size at the tool and in the noise, intervals hold either."""
 COVERED = 1e-6  # of a function, what parameters may leave of it for it to be no second unknown
 COVERED_BY = "free parameters, such as the channels' gains, are the same functions"
 OF_NOISE = 10.0 * MICROMETRE
@@ -47,7 +57,7 @@ OF_NOISE = 10.0 * MICROMETRE
 
 
 @dataclass(frozen=True, eq=False)
-class OwnChannels:
+class OwnChannelRows:
     """N channels of the machine's own that move, at the M rows of a study.
 
     They move over the workspace, or by what is given of the rows. Of a machine without coordinates whose channels all
@@ -71,7 +81,7 @@ class OwnChannels:
         used: np.ndarray,
         positions: RowPositions,
         reach: Array,
-    ) -> OwnChannels:
+    ) -> OwnChannelRows:
         """Return the own channels of a machine.
 
         Parameters
@@ -115,23 +125,23 @@ class OwnChannels:
         return self.rows.home
 
     @cached_property
-    def place(self) -> Place:
+    def place(self) -> KernelInput:
         """Where functions are evaluated at all M rows."""
         return self._locate(self.rows.positions, self.rows.order)
 
-    def _locate(self, positions: Array, order: np.ndarray) -> Place:
-        return Place((positions - self.home) / self.range, order / self.n_places)
+    def _locate(self, positions: Array, order: np.ndarray) -> KernelInput:
+        return KernelInput((positions - self.home) / self.range, order / self.n_places)
 
-    def at(self, rows: np.ndarray) -> Place:
+    def at(self, rows: np.ndarray) -> KernelInput:
         """Return the same of some of the rows."""
         assert self.place.time is not None
-        return Place(self.place.travel[rows], self.place.time[rows])
+        return KernelInput(self.place.travel[rows], self.place.time[rows])
 
-    def place_of(self, data: Measurements) -> Place:
+    def place_of(self, data: Measurements) -> KernelInput:
         """Return where functions are evaluated at P rows; see `RowPositions.at`."""
         return self._locate(self.rows.at(data, data.values[:, self.places]), data.order)
 
-    def cover(self, model: ReadingModel, change: Array, theta: Array, pose: Array, given: Given) -> OwnChannels:
+    def cover(self, model: ReadingModel, change: Array, theta: Array, pose: Array, given: Given) -> OwnChannelRows:
         """Return the same, with the linear errors that free parameters are, but for constants, everywhere.
 
         Such an error does to readings and tool what some change of the parameters does with other poses: neither these
@@ -168,7 +178,7 @@ class OwnChannels:
         span = (left @ np.concatenate([by_free[there], shown], axis=-1)).reshape(len(columns), -1)
         span /= np.maximum(np.linalg.norm(span, axis=0), np.finfo(float).tiny)
         basis, sizes, _ = np.linalg.svd(span, full_matrices=False)
-        basis = basis[:, sizes > SMALLEST * sizes[0]]
+        basis = basis[:, sizes > MIN_EIGENVALUE * sizes[0]]
         rest = np.linalg.norm(columns - basis @ (basis.T @ columns), axis=0)
         size = np.linalg.norm(columns, axis=0)
         return replace(self, covered=((rest <= COVERED * size) & (size > 0.0)).reshape(n, n))
@@ -192,7 +202,7 @@ class OwnChannels:
         for name in terms:
             if not n:
                 found[name] = "no channel of the machine itself moves"
-            elif name == "independent":
+            elif name == "random":
                 continue
             elif used < FEWEST_POSES:
                 found[name] = f"there are fewer than {FEWEST_POSES} rows"
@@ -217,9 +227,10 @@ def _find_levers(
     """Return by how many mm one unit of own channels moves the tool, root mean square over poses (P, q), (N,).
 
     The tool moves by ∂tool/∂v (∂own/∂v)⁺, as located by the own channels, in units of their ranges. Where a channel
-    does not move it, or there is none whose place is a length, `OF_NOISE` is one standard deviation of its noise. One
-    that hardly moves it, as the wrist that turns a tool about its own axis, has `LEAST_LEVER` of the usual lever, by
-    their noise: errors of one size at the tool would be hundreds of times its noise.
+    does not move it, or there is none whose place is a length, `OF_NOISE` is one standard deviation of its noise.
+    Levers, by the channels' noise, are within a factor of 1 / `MIN_LEVER_RATIO` of their median: errors of one size at
+    the tool would be hundreds of times the noise of a wrist that turns a tool about its own axis, and too small for
+    the shoulder, where joints err by the same angle.
     """
     units, levers = [model.channels[k].unit for k in places], np.zeros(len(places))
     if model.tool_lengths and len(model.coordinates) and len(places):
@@ -230,17 +241,17 @@ def _find_levers(
         if good.any():
             moves = by_pose[good] @ np.linalg.pinv(own[good])
             levers = np.sqrt((moves**2).sum(axis=1).mean(axis=0))
-    moving = levers > STILL
+    moving = levers > MIN_TRAVEL_MM
     levers = np.where(moving, levers / reach, OF_NOISE / noise)
     if moving.any():
-        least = LEAST_LEVER * np.median((levers * noise)[moving]) / noise
-        levers = np.where(moving, np.maximum(levers, least), levers)
+        usual = np.median((levers * noise)[moving]) / noise
+        levers = np.where(moving, np.clip(levers, MIN_LEVER_RATIO * usual, usual / MIN_LEVER_RATIO), levers)
     return np.where([unit == "mm" for unit in units], 1.0, levers)
 
 
 @dataclass(frozen=True, eq=False)
-class IndependentErrors(ModelErrorTerm):
-    """τ, drawn anew at every row, half-normal, in mm at the tool: of one own channel, or of all."""
+class RandomTerm(ModelErrorTerm):
+    """τ, drawn independently at every row, half-normal, in mm at the tool: of one own channel, or of all."""
 
     @property
     def names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -253,15 +264,15 @@ class IndependentErrors(ModelErrorTerm):
 
 
 @dataclass(frozen=True, eq=False)
-class FunctionsOfPose(ErrorTerm):
+class GPTerm(ErrorTerm):
     """Errors of one sort of functions, of all N own channels, of one scale s in mm at the tool; see the module.
 
     ``floor``: what s is at least, mm; the error has the variance s² + floor².
     """
 
     of_model: ClassVar[bool] = True
-    sort: str  # of `bayescal.density.sorts.SORTS`
-    own: OwnChannels
+    sort: str  # of `bayescal.density.pose_kernels.POSE_KERNELS`
+    own: OwnChannelRows
     scale: float  # of the half-Cauchy prior of s, mm
     floor: float = 0.0
 
@@ -296,14 +307,14 @@ class FunctionsOfPose(ErrorTerm):
         """R of all M rows, (N or 1, M, R), and what takes kernels with these rows to it, (N or 1, M, R)."""
         (kernel,) = self.functions.between(self.own.place, self.own.place)
         values, vectors = np.linalg.eigh(kernel)
-        there = values > SMALLEST * values[:, -1:].max()
+        there = values > MIN_EIGENVALUE * values[:, -1:].max()
         some = there.any(axis=0)
         size = np.where(there, np.sqrt(np.maximum(values, 0.0)), 0.0)[:, None, some]
         over = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
         return vectors[..., some] * size, vectors[..., some] * over
 
-    def floored(self, floors: Mapping[str, float]) -> Self:
-        """Return the same with another floor; see `ErrorTerm.floored`."""
+    def with_floors(self, floors: Mapping[str, float]) -> Self:
+        """Return the same with another floor; see `ErrorTerm.with_floors`."""
         return replace(self, floor=floors.get(self.sort, 0.0))
 
     def amplitude(self, zeta: Array) -> Array:
@@ -330,15 +341,15 @@ class FunctionsOfPose(ErrorTerm):
         """Return what coefficients do to each channel's readings, (B, P, K, N R)."""
         return self.amplitude(zeta)[:, None, None, None] * self.act(data)
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return Φ's, with d√(s² + floor²) = s ds / √(s² + floor²)."""
         prior, amplitude = self.priors[0], self.amplitude(zeta)
         share = float(prior.value(zeta[0])) / float(amplitude) if amplitude > 0.0 else 1.0
-        return Slopes(columns=share * float(prior.slope(zeta[0])) * self.act(data)[None])
+        return TermDerivatives(columns=share * float(prior.slope(zeta[0])) * self.act(data)[None])
 
 
 @dataclass(frozen=True, eq=False)
-class ThinFunctionsOfPose(FunctionsOfPose):
+class LowRankGPTerm(GPTerm):
     """The same of few columns; what these leave out is independent from row to row.
 
     ``n_channels`` is K; ``over`` the rows that columns suit and that they are normalised over, the calibration rows by
@@ -346,13 +357,13 @@ class ThinFunctionsOfPose(FunctionsOfPose):
     """
 
     n_channels: int = 0
-    over: Place | None = None
+    over: KernelInput | None = None
 
     @property
     def most_columns(self) -> int:
         """At most how many columns it has."""
         n = len(self.own.places)
-        return n * {"linear": n, "own": OWN_COLUMNS, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
+        return n * {"linear": n, "positioning": OWN_COLUMNS, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
 
     @cached_property
     def functions(self) -> PoseFunctions:
@@ -387,7 +398,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
         """Return the variance that columns leave out, (B, 1, K)."""
         return self._spread(data, self.amplitude(zeta) ** 2)
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return those of columns and of the variance, d (s² + floor²) = 2 s ds."""
         prior = self.priors[0]
         change = 2.0 * prior.value(zeta) * prior.slope(zeta)
@@ -396,7 +407,7 @@ class ThinFunctionsOfPose(FunctionsOfPose):
 
 
 def build_model_error(
-    own: OwnChannels,
+    own: OwnChannelRows,
     n_channels: int,
     terms: Sequence[str],
     scales: tuple[float, float],
@@ -412,7 +423,7 @@ def build_model_error(
     n_channels : int
         Number K of all channels.
     terms : sequence of str
-        Which there can be: `independent` and sorts of functions.
+        Which there can be: `random` and sorts of functions.
     scales : (float, float)
         Of the half-normal prior of τ, and of the half-Cauchy priors, mm.
     floors : mapping of str to float
@@ -425,13 +436,13 @@ def build_model_error(
     found: list[ErrorTerm] = []
     levers = np.ones(n_channels)
     levers[own.places] = own.levers
-    if "independent" in terms:
+    if "random" in terms:
         every = np.isin(np.arange(n_channels), own.places)
         groups = {TAU: every}
         if each and len(own.places) > 1:
             groups = {f"{TAU}[{k}]": np.arange(n_channels) == place for k, place in enumerate(own.places, 1)}
-        floor = floors.get("independent", 0.0)
-        found += [IndependentErrors(name, one, scales[0], "mm", levers, floor) for name, one in groups.items()]
-    sort = partial(ThinFunctionsOfPose, n_channels=n_channels) if few else FunctionsOfPose
-    found += [sort(name, own, scales[1], floors.get(name, 0.0)) for name in terms if name != "independent"]
+        floor = floors.get("random", 0.0)
+        found += [RandomTerm(name, one, scales[0], "mm", levers, floor) for name, one in groups.items()]
+    sort = partial(LowRankGPTerm, n_channels=n_channels) if few else GPTerm
+    found += [sort(name, own, scales[1], floors.get(name, 0.0)) for name in terms if name != "random"]
     return tuple(found)

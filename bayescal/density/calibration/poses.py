@@ -5,7 +5,7 @@ pose v̂ that explains them best the density
 
     p(s | d) = (2π)^(-m/2) |Σ|^(-1/2) |HᵀΣ⁻¹H|^(-1/2) exp(-½ r²) / V,   r² = r̂ᵀ Σ⁻¹ r̂,   r̂ = s - h(v̂, d),
 
-with m = n - q, and where single rows may be wrong that of `outliers.Outliers` in place of the normal one of r̂.
+with m = n - q, and where single rows may be wrong that of `outliers.Outliers` instead of the normal one of r̂.
 
 Where the data say which channels c the machine was commanded by, the pose is uniformly distributed in these and not in
 its coordinates: |∂h_c/∂v| takes the place of 1/V, sqrt |JᵀJ| with J = ∂h_c/∂v where they are more than the
@@ -13,7 +13,7 @@ coordinates. That is p(s | d) over the density of the commanded positions, which
 commanded positions, d), in which no workspace appears.
 
 A posterior's machines differ by so little that H = ∂h/∂v along the poses that explain the readings is linear in the
-parameters to a part in millions. H then costs one product of matrices in place of q directional derivatives of the
+parameters to a part in millions. H then costs one product of matrices instead of q directional derivatives of the
 readings, and a pose that has it is found in one or two steps. How far this holds is measured, not assumed: the error of
 the log-density is quadratic in the change M = H⁺ dH of the slopes, with a factor that trial machines give.
 """
@@ -47,7 +47,7 @@ LARGEST = 2**24  # entries of the derivatives of H, 128 MB
 
 
 @dataclass(frozen=True, eq=False)
-class Expansion:
+class PoseExpansion:
     """Poses and H of machines near an anchor of D parameters, at P poses of q coordinates with K readings."""
 
     anchor: Array  # (D,)
@@ -84,26 +84,34 @@ class Expansion:
         assert self.bends is not None
         return np.moveaxis(self.bends, 1, -1)
 
-    def pick(self, which: np.ndarray) -> Expansion:
+    def pick(self, which: np.ndarray) -> PoseExpansion:
         """Return that of some of the poses; of fewer ones it is as good."""
         bends = None if self.bends is None else self.bends[:, :, which]
         return replace(self, pose=self.pose[which], slope=self.slope[:, which], moves=self.moves[:, which], bends=bends)
 
 
 ROWS, MANY_ROWS = 4096, 2**14  # poses of machines that are looked at together; without a derivative of the readings
-CLOSE = 0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
-NEAR = 0.3  # deviations of a reading, within which H is taken for constant
-CHORD, ASTRAY = 0.1, 1.0  # length of white readings that a chord moves by, where chords end and where they are lost
-LEFT = 1e-5  # deviations of a reading that a step taken to first order may leave out
-STEP = 0.01  # of what a parameter's machines deviate, for the derivative of H: it has to hold where many compensate
+FIRST_ORDER_STEP = (
+    0.03  # deviations of a reading, below which a step is taken to first order: what that leaves enters squared
+)
+CONSTANT_H_STEP = 0.3  # deviations of a reading, within which H is taken for constant
+LAST_CHORD, MAX_CHORD = (
+    0.1,
+    1.0,
+)  # length of white readings that a chord moves by, where chords end and where they are lost
+MAX_FIRST_ORDER_ERROR = 1e-5  # deviations of a reading that a step taken to first order may leave out
+DERIVATIVE_STEP = (
+    0.01  # of what a parameter's machines deviate, for the derivative of H: it has to hold where many compensate
+)
 NATS, LARGEST_CHANGE = 3e-3, 0.1  # of the log-density that an expansion may be wrong by; square of the change of H
 TRIALS = 4  # directions in which poses are moved to see how straight the readings are
 MAX_STEPS, MAX_CHORDS, MAX_SEARCH, PATIENCE = 30, 8, 60, 4
+MAX_STALE, SMALLER = 6, 0.7  # steps in turn after which a pose whose step is not smaller by that factor has no end
 JOINED = 1e-3  # of the spread of the starts, within which two ways are one
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class PoseEstimate:
     """C machines where they explain the readings best."""
 
     pose: Array  # (C, P, q)
@@ -132,7 +140,7 @@ class PoseElimination:
     volume: float  # V, in the units of the coordinates
     start: Array  # (P, q): poses from which the best ones are looked for
     # about a machine near those that are asked for, which explains the readings at ``start``
-    expansion: Expansion | None = None
+    expansion: PoseExpansion | None = None
 
     @cached_property
     def n_readings(self) -> np.ndarray:
@@ -260,28 +268,35 @@ class PoseElimination:
         result[:, ~self.data.present] = 0.0
         return result
 
-    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> Stand:
+    def stand(self, theta: Array, white: Whitening, start: Array | None = None) -> PoseEstimate:
         """Return machines (C, D) where they explain the readings best, by Gauss and Newton's method.
 
-        Where the density is anchored it starts with chords, whose H is that of `Expansion`, without a derivative; where
-        the expansion is good enough it ends there. The last step is taken to first order.
+        Where the density is anchored it starts with chords, whose H is that of `PoseExpansion`, without a derivative;
+        where the expansion is good enough it ends there. The last step is taken to first order.
         """
         pose = np.broadcast_to(self.start if start is None else start, (len(theta), *self.start.shape)).copy()
         if not pose.shape[-1]:
             error, slope, _ = self.linearise(theta, pose, white)
-            return Stand(pose, error, slope)
+            return PoseEstimate(pose, error, slope)
         shape, n, q = pose.shape[:2], len(self.model.channels), pose.shape[-1]
-        found = Stand(pose, *(np.empty((*shape, *own)) for own in ((n,), (n, q), (), ())))
+        found = PoseEstimate(pose, *(np.empty((*shape, *own)) for own in ((n,), (n, q), (), ())))
         going = np.arange(len(theta))
         if start is None and self.expansion is not None:
             going = self._follow_chords(found, theta, white, self.expansion)
-        for _ in range(MAX_STEPS):
+        least, stale = np.full(len(theta), np.inf), np.zeros(len(theta), dtype=int)
+        for step in range(1, MAX_STEPS + 1):
             if not len(going):
-                return found
+                break
             size = self._improve(found, going, theta, white)
-            still = np.any(size > NEAR, axis=1)  # where it is not a number the machine cannot stand
-            going, size = going[still], size[still]
-        found.error[going] = np.where((size > NEAR)[..., None], np.nan, found.error[going])  # wandering: no pose
+            far = size > CONSTANT_H_STEP  # where it is not a number the machine cannot stand
+            largest = np.nanmax(size, axis=1, initial=0.0)
+            gains = largest < SMALLER * least[going]
+            stale[going] = np.where(gains, 0, stale[going] + 1)
+            least[going] = np.where(gains, largest, least[going])
+            still = far.any(axis=1)
+            lost = still & ((stale[going] >= MAX_STALE) | (step == MAX_STEPS))  # wandering: no pose
+            found.error[going[lost]] = np.where(far[lost, :, None], np.nan, found.error[going[lost]])
+            going = going[still & ~lost]
         return found
 
     def approach_poses(self, theta: Array, white: Whitening) -> Array:
@@ -293,7 +308,7 @@ class PoseElimination:
         pose, known = at.pose + np.moveaxis(moves @ (theta - middle).T, -1, 0), np.isfinite(at.error).all(axis=-1)
         return np.where(known[..., None], pose, self.start)
 
-    def _improve(self, found: Stand, going: np.ndarray, theta: Array, white: Whitening) -> Array:
+    def _improve(self, found: PoseEstimate, going: np.ndarray, theta: Array, white: Whitening) -> Array:
         """Move some of the machines by a step, or two where H is as good as that of the next pose; return the sizes."""
         theta, white = theta[going], white.pick(going)
         error, raw, _ = self.linearise_raw(theta, found.pose[going])
@@ -307,7 +322,7 @@ class PoseElimination:
         found.known_volume[going], found.known_prior[going] = log_root(factor), self._weigh_poses(raw)
         pose, size = found.pose[going] + step, np.abs(error - left).max(axis=-1)
         largest = np.nanmax(size, axis=1, initial=0.0)
-        near = np.flatnonzero((largest > CLOSE) & (largest <= NEAR))
+        near = np.flatnonzero((largest > FIRST_ORDER_STEP) & (largest <= CONSTANT_H_STEP))
         if len(near):
             again = self._errors(theta[near], pose[near], white.pick(near))
             step, left[near] = find_step(slope[near], again)
@@ -321,13 +336,13 @@ class PoseElimination:
         error = self.comparison.subtract(self.data.values, read)
         return white.vector(np.where(self.data.present, error, 0.0))
 
-    def _follow_chords(self, found: Stand, theta: Array, white: Whitening, near: Expansion) -> np.ndarray:
+    def _follow_chords(self, found: PoseEstimate, theta: Array, white: Whitening, near: PoseExpansion) -> np.ndarray:
         """Move machines by chords, each by itself; return which of them have no H that is good enough.
 
         Where chords go astray a machine stays where it starts.
         """
         good = near.measure(theta) <= near.limit
-        close = np.where(good, near.close, CHORD)
+        close = np.where(good, near.close, LAST_CHORD)
         pose, raw = near.predict(theta)
         slope = white.rows(raw)
         size, going = np.full(pose.shape[:2], np.inf), np.arange(len(theta))
@@ -349,19 +364,19 @@ class PoseElimination:
             assert found.known_volume is not None
             assert found.known_prior is not None
             found.known_volume[:], found.known_prior[:] = log_root(factor), self._weigh_poses(raw)
-        astray = ~(np.isfinite(pose).all(axis=-1) & (size < ASTRAY))[..., None]
+        astray = ~(np.isfinite(pose).all(axis=-1) & (size < MAX_CHORD))[..., None]
         np.copyto(found.pose, pose, where=~astray)
         found.slope[:] = slope
         return np.flatnonzero(~good)
 
-    def _expand(self, anchor: Array, spread: Array | None, reference: Whitening | None) -> Expansion:
+    def _expand(self, anchor: Array, spread: Array | None, reference: Whitening | None) -> PoseExpansion:
         """Return what machines near an anchor (D,) at the start have in common."""
         white = reference or self.whiten(self.sd[None], np.zeros((1, 1, len(self.model.channels))))
         with np.errstate(all="ignore"):
             _, slope, by_parameters = self.linearise_raw(anchor[None], self.start[None], with_parameters=True)
             inverse = invert(white.rows(slope)[0], 0.0)
             moves = -inverse @ white.rows(by_parameters)[0]
-            first = Expansion(
+            first = PoseExpansion(
                 anchor,
                 self.start,
                 np.moveaxis(slope[0], -1, 0),
@@ -384,15 +399,17 @@ class PoseElimination:
         theta = np.broadcast_to(anchor, (TRIALS, len(anchor)))
         up, down, here = (self._errors(theta, self.start + sign * step, white) for sign in (1.0, -1.0, 0.0))
         curvature = 0.5 * np.nan_to_num(np.abs(up + down - 2.0 * here)).max(initial=0.0)
-        return float(np.clip(np.sqrt(LEFT / max(curvature, LEFT)), CLOSE, 1.0))
+        return float(
+            np.clip(np.sqrt(MAX_FIRST_ORDER_ERROR / max(curvature, MAX_FIRST_ORDER_ERROR)), FIRST_ORDER_STEP, 1.0)
+        )
 
-    def _bend(self, first: Expansion, spread: Array) -> Expansion:
+    def _bend(self, first: PoseExpansion, spread: Array) -> PoseExpansion:
         """Return an expansion with derivatives of H by what differs among machines (n, D)."""
         free = np.flatnonzero((spread != spread[:1]).any(axis=0))
         if not len(free) or len(free) * first.slope.size > LARGEST:
             return first
         change = np.zeros((len(free), len(first.anchor)))
-        change[np.arange(len(free)), free] = STEP * spread[:, free].std(axis=0)
+        change[np.arange(len(free)), free] = DERIVATIVE_STEP * spread[:, free].std(axis=0)
         pose = np.tensordot(change, first.moves, 1)
         bends = np.empty((len(free), *first.slope.shape))
         for part in self.batches(len(free)):
@@ -467,11 +484,11 @@ class PoseElimination:
         ends = np.arange(count + 1) * n // max(1, count)
         yield from (slice(int(one), int(other)) for one, other in pairwise(ends))
 
-    def offset(self, white: Whitening, at: Stand) -> Array:
+    def offset(self, white: Whitening, at: PoseEstimate) -> Array:
         """Return what the log-density of each pose has beside that of the white residual, (C, P)."""
         return np.asarray(white.log_det + self.log_volume(at, white))
 
-    def log_volume(self, at: Stand, white: Whitening) -> Array:
+    def log_volume(self, at: PoseEstimate, white: Whitening) -> Array:
         """Return the log of what white readings leave of the pose's volume, times its prior density there, (C, P)."""
         prior = self._weigh_poses(at.slope, white) if at.known_prior is None else at.known_prior
         return np.asarray(prior - at.volume)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
-from bayescal.density.calibration.poses import Stand
+from bayescal.density.calibration.poses import PoseEstimate
 from bayescal.density.elimination import find_step
 from bayescal.density.prediction import Prediction, summarise_errors
 from bayescal.numerics.geometry import Array
@@ -66,7 +66,7 @@ def predict_readings(
         Draws.
     rng : Generator
     by : ndarray of bool, shape (K,), optional
-        Channels by which all others are predicted, in place of each by the others.
+        Channels by which all others are predicted, instead of each by the others.
     """
     q, parts, lost = len(held.model.coordinates), [], list[tuple[int, int, str]]()
     predicted = held.data.present.any(axis=0) & (True if by is None else ~by)
@@ -258,7 +258,7 @@ def _covary(held: CalibrationLikelihood, own: Array, channel: int, there: np.nda
     return np.where(there, held.correlation[:, channel] * own * own[..., channel, None], 0.0)
 
 
-def _spread_of_pose(slope: Array, at: Stand) -> Array:
+def _spread_of_pose(slope: Array, at: PoseEstimate) -> Array:
     """Return the variance by that of the pose, for slopes (T, P, q), NaN where the pose is not told, (T, P)."""
     across = np.swapaxes(at.slope, -1, -2) @ at.slope
     told = np.isfinite(at.error).all(axis=-1) & (np.linalg.det(np.nan_to_num(across)) > 0.0)

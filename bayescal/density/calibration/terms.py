@@ -8,9 +8,9 @@ share,
 with C the stated covariance. A term with coordinates ζ supplies one of three: a factor f on the stated deviations, a
 variance v added to them, or columns Φ. All terms hold together, and with outliers, which are of a row as a whole.
 
-A term of one's own is a class: names, units and priors of its coordinates, and `ErrorTerm.variance` or
-`ErrorTerm.columns`. In a config it stands as ``[errors.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the keys of
-its ``Config``.
+A user-defined term is a class: names, units and priors of its coordinates, and `ErrorTerm.variance` or
+`ErrorTerm.columns`. In a config it stands as ``[error_terms.NAME]`` with ``kind = "own_term.py:OwnTerm"`` and the
+keys of its ``Config``.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.heavy_tails import find_most
 
-STEP = 1e-5  # of a coordinate, for slopes of a term that states none
+TERM_STEP = 1e-5  # of a coordinate, for slopes of a term that states none
 
 
-class Slopes(NamedTuple):
+class TermDerivatives(NamedTuple):
     """Derivatives by the n coordinates of a term: of log f (n, P, K), of v (n, P, K), of Φ (n, P, K, N)."""
 
     log_factor: Array | None = None
@@ -131,7 +131,7 @@ class ErrorTerm(ABC):
     @classmethod
     def build(cls, config: Any, rows: TermRows) -> Self:
         """Return the term of a checked section; by default the class is called with both."""
-        return cls(config, rows)  # type: ignore[call-arg]  # a class of one's own has that constructor, or its own build
+        return cls(config, rows)  # type: ignore[call-arg]  # a user-defined class has that constructor, or its own build
 
     @property
     def concerns(self) -> np.ndarray | None:
@@ -142,7 +142,7 @@ class ErrorTerm(ABC):
         """Return what is unknown in its own units, (..., n)."""
         return np.stack([prior.value(zeta[..., k]) for k, prior in enumerate(self.priors)], axis=-1)
 
-    def floored(self, floors: Mapping[str, float]) -> Self:
+    def with_floors(self, floors: Mapping[str, float]) -> Self:
         """Return the same term with the floors of sorts of functions of the pose, mm, that are named, and no others."""
         del floors
         return self
@@ -173,11 +173,11 @@ class ErrorTerm(ABC):
         """Return that amplitude, (..., n) to (...,)."""
         return np.zeros(zeta.shape[:-1])
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return the derivatives at ζ, shape (n,); by central differences where a term states none."""
-        moved = zeta + STEP * np.concatenate([np.eye(len(zeta)), -np.eye(len(zeta))])
+        moved = zeta + TERM_STEP * np.concatenate([np.eye(len(zeta)), -np.eye(len(zeta))])
         factor, variance, columns = self.factor(moved), self.variance(moved, data), self.columns(moved, data)
-        return Slopes(
+        return TermDerivatives(
             None if factor is None else np.broadcast_to(_differ(np.log(factor))[:, None], (len(zeta), *data.sd.shape)),
             None if variance is None else np.broadcast_to(_differ(variance), (len(zeta), *data.sd.shape)),
             None if columns is None or len(columns) == 1 else _differ(columns),
@@ -186,7 +186,7 @@ class ErrorTerm(ABC):
 
 def _differ(values: Array) -> Array:
     plus, minus = np.split(values, 2)
-    return np.asarray((plus - minus) / (2.0 * STEP))
+    return np.asarray((plus - minus) / (2.0 * TERM_STEP))
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,15 +229,17 @@ class NoiseFactor(GroupTerm):
         """Return it for its channels, one for the others."""
         return np.where(self.channels, self.priors[0].value(zeta), 1.0)
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return that of its logarithm."""
         del zeta
-        return Slopes(log_factor=np.broadcast_to(np.where(self.channels, self.scale, 0.0), (1, *data.sd.shape)))
+        return TermDerivatives(
+            log_factor=np.broadcast_to(np.where(self.channels, self.scale, 0.0), (1, *data.sd.shape))
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class ModelErrorTerm(GroupTerm):
-    """An error τ that the stated noise lacks, drawn anew at every row, half normal; of variance τ² + floor².
+    """An error τ that the stated noise lacks, drawn independently at every row, half normal; of variance τ² + floor².
 
     ``levers`` (K,): by how many units of τ one unit of each channel counts; one where τ is in the channels' unit.
     """
@@ -257,15 +259,15 @@ class ModelErrorTerm(GroupTerm):
         square = self.priors[0].value(zeta) ** 2 + self.floor**2
         return np.where(self.channels, square / np.square(self.levers), 0.0)[:, None]
 
-    def slopes(self, zeta: Array, data: Measurements) -> Slopes:
+    def slopes(self, zeta: Array, data: Measurements) -> TermDerivatives:
         """Return 2 τ dτ/dζ."""
         prior = self.priors[0]
         slope = np.where(self.channels, 2.0 * prior.value(zeta) * prior.slope(zeta) / np.square(self.levers), 0.0)
-        return Slopes(variance=np.broadcast_to(slope, (1, *data.sd.shape)))
+        return TermDerivatives(variance=np.broadcast_to(slope, (1, *data.sd.shape)))
 
 
 @dataclass(frozen=True, eq=False)
-class KnownErrors(ErrorTerm):
+class CorrelatedNoise(ErrorTerm):
     """Errors that all rows have in common and that are known but for their coefficients, standard normal ones.
 
     Noise that is correlated with them takes a second such term, whose columns are taken away from the covariance: with
@@ -295,7 +297,7 @@ class KnownErrors(ErrorTerm):
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class ErrorModel:
     """All terms together, and what rows are like that are wrong as a whole.
 
     Coordinates ζ of what is unknown are the terms' in their order, then the outliers': as their priors say, standard
@@ -341,9 +343,9 @@ class Errors:
         """Coordinates with a second place, at which there is no such error, each with that place."""
         return {k: prior.off for k, prior in enumerate(self.priors) if prior.off is not None}
 
-    def floored(self, floors: Mapping[str, float]) -> Self:
-        """Return the same with floors of functions of the pose by sort, mm, in place of those that they have."""
-        return replace(self, terms=tuple(term.floored(floors) for term in self.terms))
+    def with_floors(self, floors: Mapping[str, float]) -> Self:
+        """Return the same with floors of functions of the pose by sort, mm, instead of those that they have."""
+        return replace(self, terms=tuple(term.with_floors(floors) for term in self.terms))
 
     @property
     def log_mass(self) -> float:
@@ -369,7 +371,7 @@ class Errors:
         found[:, places] += np.where(off, list(self.switches.values()), 0.0)
         return found
 
-    def jumps(self, zeta: Array) -> list[tuple[int, Array]]:
+    def mode_candidates(self, zeta: Array) -> list[tuple[int, Array]]:
         """Return each error switched on or off, seen from ζ (k,), with the number of its coordinate."""
         found = []
         for k, place in self.switches.items():
@@ -423,9 +425,9 @@ class Errors:
         """The terms with columns, errors common to all rows."""
         return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
 
-    def without_columns(self) -> Errors:
+    def without_columns(self) -> ErrorModel:
         """Return the terms that concern single rows alone."""
-        return Errors(tuple(term for term in self.terms if term not in self.common), self.outliers)
+        return ErrorModel(tuple(term for term in self.terms if term not in self.common), self.outliers)
 
     def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
         """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
@@ -450,9 +452,9 @@ class Errors:
         return np.concatenate([np.full(width, sign) for sign, width in widths])
 
     @cached_property
-    def known(self) -> list[KnownErrors]:
+    def known(self) -> list[CorrelatedNoise]:
         """The terms with columns of which nothing is unknown but their coefficients."""
-        return [term for term in self.common if isinstance(term, KnownErrors)]
+        return [term for term in self.common if isinstance(term, CorrelatedNoise)]
 
     @property
     def is_common_known(self) -> bool:
@@ -514,13 +516,13 @@ class Errors:
         n = self.columns(zeta[:1], data).shape[-1]
         return CommonDraws(self, ((zeta, rng.standard_normal((len(zeta), n))),))
 
-    def slopes(self, zeta: Array, data: Measurements) -> list[Slopes]:
+    def slopes(self, zeta: Array, data: Measurements) -> list[TermDerivatives]:
         """Return the derivatives at ζ, shape (n,), of each coordinate, without its axis."""
         found = []
         for term, part in self.of(zeta):
             own = term.slopes(part, data)
-            found += [Slopes(*(None if one is None else one[k] for one in own)) for k in range(len(part))]
-        return found + [Slopes()] * len(self.outliers.names)
+            found += [TermDerivatives(*(None if one is None else one[k] for one in own)) for k in range(len(part))]
+        return found + [TermDerivatives()] * len(self.outliers.names)
 
     def column_slopes(self, zeta: Array, data: Measurements, gain: Array | None = None) -> Array:
         """Return the derivatives of Φ by all coordinates at ζ, shape (n,), (n, P, K, N); see `columns`."""
@@ -562,7 +564,7 @@ class Errors:
         return result
 
 
-NO_ERRORS = Errors()
+NO_ERRORS = ErrorModel()
 
 
 def _show(term: ErrorTerm, columns: Array | None, gain: Array | None) -> Array | None:
@@ -607,7 +609,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
 class CommonDraws:
     """Draws of the coefficients of errors common to all rows."""
 
-    errors: Errors
+    errors: ErrorModel
     # of some of the T draws each, (B, n) and (B, N): with a free length coefficients belong together with the others
     # that they were drawn with
     parts: tuple[tuple[Array, Array], ...]

@@ -9,24 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.knowledge import (
-    assess,
-    list_next,
-    look,
-    look_around,
-    tabulate_accuracy,
-    weigh,
+from bayescal.experiments.audit.planned import DesignVariant
+from bayescal.experiments.audit.rows import (
+    PARAMETER_ERROR,
+    RANDOM_ERROR,
+    PlannedPoseRow,
+    PoseCountRow,
+    SelectedPoseRow,
 )
+from bayescal.experiments.audit.schema import AuditConfig
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.shared.readings.inputs import Variant
+from bayescal.experiments.shared.readings.knowledge import compute_tool_uncertainty, linearise_workspace, look, weigh
+from bayescal.experiments.shared.rows import CandidatePoseRow, ToolUncertaintyRow
 from bayescal.identifiability.reading_rows import rms
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses, compute_gains, learn_in_turn
@@ -36,7 +36,7 @@ MOST_ROUNDS = 20  # of exchanges
 LEAST_FALL = 1e-9  # of the mean squared error, for which poses are exchanged
 
 
-def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.DataFrame]:
+def compute_accuracy(plans: Mapping[str, DesignVariant], run: Run) -> dict[str, pd.DataFrame]:
     """Return the tables of all variants' accuracy and poses."""
     found = list(run.map("variants", _compute_variant, plans, {name: name for name in plans}).values())
     tables = {
@@ -45,43 +45,52 @@ def compute_accuracy(plans: Mapping[str, Planned], run: Run) -> dict[str, pd.Dat
         if (some := [one[name] for one in found if not one[name].empty])
     }
     first = next(iter(plans.values())).variant
-    poses = zip(first.data.poses, first.start, strict=True)
-    return {**tables, "poses": pd.DataFrame([{"pose": n, **_place(first, v)} for n, v in poses])}
+    poses = PlannedPoseRow.tabulate(_list_coordinates(first, first.start), pose=first.data.poses)
+    return {**tables, "poses": poses}
 
 
-def _compute_variant(plans: Mapping[str, Planned], name: str) -> dict[str, pd.DataFrame]:
+def _compute_variant(plans: Mapping[str, DesignVariant], name: str) -> dict[str, pd.DataFrame]:
     """Return the tables of how accurate a variant is, and at which poses it is best measured."""
     plan, variant = plans[name], plans[name].variant
     covariance = plan.inform().joint
-    knowledge = assess(
+    knowledge = compute_tool_uncertainty(
         plan.config,
         variant,
         plan.posterior,
         plan.expected,
-        lambda at: (plan.foresee(plan.expected, at), covariance),
+        lambda at: (plan.predict_tool_errors(plan.expected, at), covariance),
     )
     chosen = select_poses(plan.config, variant, plan.posterior, plan.expected)
-    selected, counts = list[dict[str, Any]](), list[dict[str, Any]]()
-    names = [f"{name}_{unit}" for name, unit in zip(knowledge.coordinates, knowledge.units, strict=True)]
-    if chosen is not None:
-        n_lengths = max(1, variant.model.pose_units.count("mm"))  # poses are chosen by the tool's lengths only
-        size = [float(np.linalg.norm(error[:n_lengths])) for error in (knowledge.before, *chosen.curve)]
-        for k, (pose, after, curve, random) in enumerate(
-            zip(chosen.pose, chosen.after, chosen.curve, chosen.random, strict=True), start=1
-        ):
-            left, best, chance = (
-                {f"{start}_{name}": value for name, value in zip(names, values, strict=True)}
-                for start, values in (("after", after), ("after", curve), ("random", random))
-            )
-            selected.append({"variant": variant.name, "step": k, **_place(variant, pose), **left})
-            gain = 1.0 - size[k] / size[k - 1]  # of the last of them
-            counts.append({"variant": variant.name, "n_poses": k, **best, **chance, "size": size[k], "gain": gain})
-    return {
-        "accuracy": tabulate_accuracy(variant, knowledge, plan.config.units),
-        "next": pd.DataFrame(list_next(variant, knowledge)),
-        "selected": pd.DataFrame(selected),
-        "pose_counts": pd.DataFrame(counts),
+    tables = {
+        "accuracy": ToolUncertaintyRow.collect(knowledge.accuracy),
+        "next": CandidatePoseRow.collect(knowledge.candidates),
+        "selected": pd.DataFrame(),
+        "pose_counts": pd.DataFrame(),
     }
+    if chosen is None:
+        return tables
+    names = [f"{one.coordinate}_{one.unit}" for one in knowledge.accuracy]
+    before = np.array([one.prior_sd for one in knowledge.accuracy])
+
+    def name_errors(start: str, errors: Array) -> dict[str, Array]:
+        return {f"{start}{name}": column for name, column in zip(names, errors.T, strict=True)}
+
+    n_lengths = max(1, variant.model.pose_units.count("mm"))  # poses are chosen by the tool's lengths only
+    size = np.array([np.linalg.norm(error[:n_lengths]) for error in (before, *chosen.curve)])
+    order = np.arange(1, len(chosen.pose) + 1)
+    tables["selected"] = SelectedPoseRow.tabulate(
+        _list_coordinates(variant, chosen.pose) | name_errors(PARAMETER_ERROR, chosen.after),
+        variant=variant.name,
+        step=order,
+    )
+    tables["pose_counts"] = PoseCountRow.tabulate(
+        name_errors(PARAMETER_ERROR, chosen.curve) | name_errors(RANDOM_ERROR, chosen.random),
+        variant=variant.name,
+        n_poses=order,
+        error=size[1:],
+        error_reduction=1.0 - size[1:] / size[:-1],
+    )
+    return tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +104,9 @@ class ChosenPoses:
     random: Array  # (N, t): the same with as many of the candidates at random, root mean square of several sets
 
 
-def _place(variant: Variant, pose: Array) -> dict[str, float]:
-    return {f"{one.name}_{one.unit}": pose[k] for k, one in enumerate(variant.model.coordinates)}
+def _list_coordinates(variant: Variant, pose: Array) -> dict[str, Array]:
+    """Return the coordinates of poses (N, q) as columns with units."""
+    return {f"{one.name}_{one.unit}": pose[:, k] for k, one in enumerate(variant.model.coordinates)}
 
 
 # --- poses to choose -------------------------------------------------------------------------------------------------
@@ -112,7 +122,7 @@ def select_poses(
     """
     if config.selection is None:
         return None
-    at = look_around(variant, posterior, expected, np.random.default_rng([config.seed, 5]))
+    at = linearise_workspace(variant, posterior, expected, np.random.default_rng([config.seed, 5]))
     weight = weigh(variant, at)
     if not np.isfinite(weight).all():
         return None

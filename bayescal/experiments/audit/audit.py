@@ -8,15 +8,15 @@ from typing import Literal
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.audit.planned import DesignVariant
 from bayescal.experiments.audit.proposal import propose
-from bayescal.experiments.audit.schema import WhatIfConfig
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.audit.schema import ScenarioConfig
+from bayescal.experiments.runner.parallel import Run
 from bayescal.identifiability.directions import Direction, Verdict, find_directions, judge_parameters
 from bayescal.identifiability.information import Information
-from bayescal.identifiability.requirements import Forecast, Outlook
+from bayescal.identifiability.requirements import RequirementForecast, WorkspaceErrorModel
 from bayescal.identifiability.ridges import Ridge
-from bayescal.identifiability.selection import ReducedSet, Selection, judge_reduced, select_parameters
+from bayescal.identifiability.selection import ParameterSelection, ReducedSet, judge_reduced, select_parameters
 from bayescal.identifiability.structure import Structure
 from bayescal.limits import NINETY_FIVE
 from bayescal.numerics.geometry import Array
@@ -24,17 +24,17 @@ from bayescal.numerics.geometry import Array
 type Harm = Literal["harmless", "noticeable", "harmful", "unknown"]
 
 HARMLESS = 0.1  # of a limit, that the remaining uncertainty along a direction may take
-HARMFUL = 1.0
+HARMFUL_LIMIT_RATIO = 1.0
 MOST_POSES = 10_000
 USUAL = (
-    WhatIfConfig(name="twice the poses", poses_factor=2.0),
-    WhatIfConfig(name="ten times the poses", poses_factor=10.0),
-    WhatIfConfig(name="half the measurement noise", noise_factor=0.5),
-    WhatIfConfig(name="a tenth of the measurement noise", noise_factor=0.1),
-    WhatIfConfig(name="a tenth of the actuator noise", actuator_noise_factor=0.1),
-    WhatIfConfig(name="a tenth of both noises", noise_factor=0.1, actuator_noise_factor=0.1),
-    WhatIfConfig(name="twice the displacements", workspace_factor=2.0),
-    WhatIfConfig(name="five times the displacements", workspace_factor=5.0),
+    ScenarioConfig(name="twice the poses", poses_factor=2.0),
+    ScenarioConfig(name="ten times the poses", poses_factor=10.0),
+    ScenarioConfig(name="half the measurement noise", noise_factor=0.5),
+    ScenarioConfig(name="a tenth of the measurement noise", noise_factor=0.1),
+    ScenarioConfig(name="a tenth of the actuator noise", actuator_noise_factor=0.1),
+    ScenarioConfig(name="a tenth of both noises", noise_factor=0.1, actuator_noise_factor=0.1),
+    ScenarioConfig(name="twice the displacements", workspace_factor=2.0),
+    ScenarioConfig(name="five times the displacements", workspace_factor=5.0),
 )
 """Changes of any plan that are looked at where the config names none."""
 
@@ -45,7 +45,7 @@ class Analysis:
 
     structure: Structure
     information: Information
-    selection: Selection
+    selection: ParameterSelection
     directions: list[Direction]
     verdicts: tuple[Verdict, ...]  # of each parameter
     # what a calibration of the selected parameters alone claims and errs by; None where these are none, or all
@@ -74,16 +74,16 @@ type SweepPoint = tuple[str, float, ChangeEffect]
 
 
 @dataclass(frozen=True, eq=False)
-class Audit:
+class AuditOutcome:
     """An audit with everything it says."""
 
-    inputs: Planned
+    inputs: DesignVariant
     analysis: Analysis
     ridges: list[Ridge]  # the structural and practical directions, described
-    forecast: Forecast  # of the workspace, or of the planned poses where there is no workspace
-    outlooks: list[Outlook]  # one per requirement
+    forecast: WorkspaceErrorModel  # of the workspace, or of the planned poses where there is no workspace
+    outlooks: list[RequirementForecast]  # one per requirement
     together: float  # probability that all requirements are kept; NaN without any
-    what_ifs: list[ChangeEffect]
+    scenarios: list[ChangeEffect]
     sweeps: list[SweepPoint]
 
     def measure_left(self) -> float:
@@ -105,10 +105,14 @@ class Audit:
         effect = self.forecast.effect(direction.vector)
         share, name = max(((r.sum_up(effect) / r.limit, r.name) for r in requirements), key=lambda pair: pair[0])
         share *= NINETY_FIVE * float(np.sqrt(max(0.0, 1.0 - direction.contraction)))
-        return ("harmless" if share < HARMLESS else "noticeable" if share < HARMFUL else "harmful"), share, name
+        return (
+            ("harmless" if share < HARMLESS else "noticeable" if share < HARMFUL_LIMIT_RATIO else "harmful"),
+            share,
+            name,
+        )
 
 
-def analyse(inputs: Planned) -> Analysis:
+def analyse(inputs: DesignVariant) -> Analysis:
     """Return what the plan tells of the parameters."""
     structure = inputs.find_structure(np.random.default_rng([inputs.config.seed, 2]))
     information = inputs.inform()
@@ -120,48 +124,50 @@ def analyse(inputs: Planned) -> Analysis:
     return Analysis(structure, information, selection, directions, verdicts, reduced)
 
 
-def judge(inputs: Planned) -> Audit:
+def judge(inputs: DesignVariant) -> AuditOutcome:
     """Return what the plan tells and how requirements stand, without other plans."""
     analysis, forecast = analyse(inputs), inputs.forecast()
     rng, requirements = np.random.default_rng([inputs.config.seed, 3]), inputs.requirements
     outlooks, together = forecast.judge(requirements, analysis.information, rng, analysis.selection.free)
-    return Audit(inputs, analysis, [], forecast, outlooks, together if requirements else float("nan"), [], [])
+    return AuditOutcome(inputs, analysis, [], forecast, outlooks, together if requirements else float("nan"), [], [])
 
 
-def run_audit(inputs: Planned, run: Run) -> Audit:
+def run_audit(inputs: DesignVariant, run: Run) -> AuditOutcome:
     """Return the audit of a plan; one of poses chosen I-optimally is among the changes."""
     return complete(judge(inputs), run)
 
 
-def complete(audit: Audit, run: Run) -> Audit:
+def complete(audit: AuditOutcome, run: Run) -> AuditOutcome:
     """Return an audit with its ridges in words and with other plans."""
     inputs = audit.inputs
     check_changes(inputs)
-    what_ifs, sweeps = evaluate_changes(inputs, audit.forecast, run)
-    return replace(audit, ridges=inputs.describe(audit.analysis.directions), what_ifs=what_ifs, sweeps=sweeps)
+    scenarios, sweeps = evaluate_changes(inputs, audit.forecast, run)
+    return replace(audit, ridges=inputs.describe(audit.analysis.directions), scenarios=scenarios, sweeps=sweeps)
 
 
 # --- other plans -----------------------------------------------------------------------------------------------------
 
 
-def list_changes(inputs: Planned) -> list[WhatIfConfig]:
+def list_changes(inputs: DesignVariant) -> list[ScenarioConfig]:
     """Return the config's what-ifs, or the usual ones where it lists none."""
-    return list(inputs.config.what_if) or [*USUAL, *inputs.list_changes()]
+    return list(inputs.config.scenarios) or [*USUAL, *inputs.list_changes()]
 
 
-def check_changes(inputs: Planned) -> None:
+def check_changes(inputs: DesignVariant) -> None:
     """Raise InputError where a what-if names a sensor or poses that are not there, or more poses than anybody takes."""
-    for change in inputs.config.what_if:
+    for change in inputs.config.scenarios:
         count = round(change.poses_factor * inputs.n_poses)
         if count > MOST_POSES:
             raise InputError(
-                f"what_if {change.name!r}: poses_factor: found {count} poses, expected at most {MOST_POSES}"
+                f"scenario {change.name!r}: poses_factor: found {count} poses, expected at most {MOST_POSES}"
             )
         if change.sensors is not None or change.poses is not None:
             inputs.change(change)
 
 
-def evaluate_change(inputs: Planned, change: WhatIfConfig, forecast: Forecast | None) -> ChangeEffect:
+def evaluate_change(
+    inputs: DesignVariant, change: ScenarioConfig, forecast: WorkspaceErrorModel | None
+) -> ChangeEffect:
     """Return what a changed plan would tell; the workspace and its requirements stay."""
     count = max(1, round(change.poses_factor * inputs.n_poses))
     try:
@@ -170,7 +176,7 @@ def evaluate_change(inputs: Planned, change: WhatIfConfig, forecast: Forecast | 
         return ChangeEffect(change.name, count, None, False, {})
 
 
-def evaluate_plan(name: str, changed: Planned, forecast: Forecast | None) -> ChangeEffect:
+def evaluate_plan(name: str, changed: DesignVariant, forecast: WorkspaceErrorModel | None) -> ChangeEffect:
     """Return what another plan would tell; accuracy only where the present plan has a forecast."""
     beyond = changed.is_beyond_range
     try:
@@ -185,22 +191,24 @@ def evaluate_plan(name: str, changed: Planned, forecast: Forecast | None) -> Cha
     return ChangeEffect(name, changed.n_poses, information, beyond, required)
 
 
-def evaluate_changes(inputs: Planned, forecast: Forecast, run: Run) -> tuple[list[ChangeEffect], list[SweepPoint]]:
+def evaluate_changes(
+    inputs: DesignVariant, forecast: WorkspaceErrorModel, run: Run
+) -> tuple[list[ChangeEffect], list[SweepPoint]]:
     """Return what changed plans would tell, the last with poses that are proposed, and all points of the sweeps."""
     changes, n, swept = list_changes(inputs), inputs.n_poses, inputs.config.sweep
-    points = [("noise", value, WhatIfConfig(name="", noise_factor=value)) for value in swept.noise]
-    points += [("poses", float(value), WhatIfConfig(name="", poses_factor=value / n)) for value in swept.poses]
-    points += [("workspace", value, WhatIfConfig(name="", workspace_factor=value)) for value in swept.workspace]
-    tasks: dict[str, WhatIfConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
+    points = [("noise", value, ScenarioConfig(name="", noise_factor=value)) for value in swept.noise]
+    points += [("poses", float(value), ScenarioConfig(name="", poses_factor=value / n)) for value in swept.poses]
+    points += [("workspace", value, ScenarioConfig(name="", workspace_factor=value)) for value in swept.workspace]
+    tasks: dict[str, ScenarioConfig | None] = {f"{k} {change.name}": change for k, change in enumerate(changes)}
     tasks["I-optimal poses"] = None
     tasks |= {f"{sweep} {k}": change for k, (sweep, _, change) in enumerate(points)}
     found = list(run.map("other plans", _evaluate, (inputs, forecast), tasks, (ChangeEffect,)).values())
-    what_ifs, others = found[: len(changes) + 1], found[len(changes) + 1 :]
+    scenarios, others = found[: len(changes) + 1], found[len(changes) + 1 :]
     sweeps = [(sweep, value, one) for (sweep, value, _), one in zip(points, others, strict=True) if one]
-    return [one for one in what_ifs if one is not None], sweeps
+    return [one for one in scenarios if one is not None], sweeps
 
 
-def _evaluate(shared: tuple[Planned, Forecast], change: WhatIfConfig | None) -> ChangeEffect | None:
+def _evaluate(shared: tuple[DesignVariant, WorkspaceErrorModel], change: ScenarioConfig | None) -> ChangeEffect | None:
     inputs, forecast = shared
     if change is not None:
         return evaluate_change(inputs, change, forecast)

@@ -10,24 +10,32 @@ import numpy as np
 import pandas as pd
 
 from bayescal.experiments.audit.accuracy import compute_accuracy
-from bayescal.experiments.audit.audit import Audit, complete, judge
+from bayescal.experiments.audit.audit import AuditOutcome, complete, judge
 from bayescal.experiments.audit.design import AuditDesign, draw_plan
 from bayescal.experiments.audit.draws import audit_posterior, plot_ridges, tabulate_plots
 from bayescal.experiments.audit.measured import Draws
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.audit.results import describe_variant, summarise, tabulate, tabulate_errors, tabulate_variants
+from bayescal.experiments.audit.planned import DesignVariant
+from bayescal.experiments.audit.results import (
+    describe_variant,
+    summarise,
+    summarise_row,
+    tabulate,
+    tabulate_errors,
+    tabulate_help,
+    tabulate_variants,
+)
+from bayescal.experiments.audit.rows import AXES, ProfilePathRow, ProfileRow
 from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, tabulate_sets
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import compare_kept, compare_with_prediction
 from bayescal.identifiability.profile import Profile, compute_profile
 from bayescal.identifiability.requirements import DRAWS
-from bayescal.machines.readings import Legs, Placed
+from bayescal.machines.readings import InstrumentedMachine, Legs
 from bayescal.numerics.geometry import Array
 
 PROFILES = 4  # where the design names none
-AXES = ("x", "y", "x_unit", "y_unit", "formula")  # what is said of a ridge's plot
 
 
 def compute_audit(inputs: AuditDesign, run: Run) -> Results:
@@ -45,24 +53,29 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
         best = choose_best(judged)
         audit = complete(judged[best], run)
         # simulated calibrations see whether first order holds: of machines without errors that bind the poses together
-        bare = judge(audit.inputs.bare()) if config.simulated_calibrations and audit.inputs.sizes else audit
+        bare = (
+            judge(audit.inputs.without_systematic_errors())
+            if config.n_simulated_calibrations and audit.inputs.sizes
+            else audit
+        )
         simulated = run.map("simulated calibrations", _simulate_case, bare.inputs, _list_cases(bare))
         averaged = None
-        if config.expected_over_draws:
+        if config.n_prior_draws:
             averaged = run.once("expected over machines", _average_machines, audit.inputs)
         summary = summarise(audit)
         tables |= tabulate_variants(judged) | tabulate(summary, audit) | tabulate_errors(judged[best])
         tables |= tabulate_machine(audit.inputs) | _draw_ridges(audit, draws, summary, run)
+        tables |= tabulate_help(summary)
     if inputs.measured is not None:
-        summary["plan"]["n_held_back"] = inputs.measured.found.n_held_back
+        summary["plan"]["n_verification_poses"] = inputs.measured.found.n_held_back
     summary["best"] = best
-    summary["variants"] = {name: describe_variant(one) for name, one in judged.items()}
+    summary["variants"] = {name: summarise_row(describe_variant(one), "variant") for name, one in judged.items()}
     summary["candidates"] = None if config.selection is None else config.selection.candidates
     summary["pose_selection"] = None if config.selection is None else config.selection.method
-    summary["sensor_choice"] = None
+    summary["sensor_selection"] = None
     if asked is not None:
         candidates = [one.name for one in asked.choices]
-        summary["sensor_choice"] = {"candidates": candidates, "always": asked.section.always}
+        summary["sensor_selection"] = {"candidates": candidates, "required_sensors": asked.section.required_sensors}
     summary["aligned"] = all(one.variant.aligned for one in plans.values())
     if averaged is not None:
         for said, share in zip(summary["parameters"].values(), averaged, strict=True):
@@ -70,7 +83,7 @@ def compute_audit(inputs: AuditDesign, run: Run) -> Results:
     return Results(summary | simulated, tables)
 
 
-def choose_best(audits: Mapping[str, Audit]) -> str:
+def choose_best(audits: Mapping[str, AuditOutcome]) -> str:
     """Return the variant that most probably keeps what is required, else that which leaves least error."""
 
     def order(name: str) -> tuple[float, float]:
@@ -84,10 +97,10 @@ def choose_best(audits: Mapping[str, Audit]) -> str:
     return min(audits, key=order)
 
 
-def tabulate_machine(inputs: Planned) -> dict[str, pd.DataFrame]:
+def tabulate_machine(inputs: DesignVariant) -> dict[str, pd.DataFrame]:
     """Return where the joints of a machine on legs stand at the planned poses; nothing of other machines."""
     variant, model = inputs.variant, inputs.variant.whole
-    whole = model.whole if isinstance(model, Placed) else model
+    whole = model.whole if isinstance(model, InstrumentedMachine) else model
     if not isinstance(whole, Legs):
         return {}
     read = model.read(model.layout.nominal, variant.start, variant.data.given)
@@ -95,15 +108,19 @@ def tabulate_machine(inputs: Planned) -> dict[str, pd.DataFrame]:
     return {"joints": tabulate_joints(whole.machine.mechanism, actuators, variant.data.poses)}
 
 
-def _draw_ridges(audit: Audit, draws: Draws | None, summary: dict[str, Any], run: Run) -> dict[str, pd.DataFrame]:
+def _draw_ridges(
+    audit: AuditOutcome, draws: Draws | None, summary: dict[str, Any], run: Run
+) -> dict[str, pd.DataFrame]:
     """Return profiles and what draws of the posterior show of the ridges; a summary is told of the draws."""
     inputs = audit.inputs
     level = audit_posterior(inputs, draws, audit)
     names = {name: name for name in choose_profiles(inputs, audit)}
-    profiles = list(run.map("profiles", _compute_profile, inputs.bare(), names, (Profile,)).values())
+    profiles = list(
+        run.map("profiles", _compute_profile, inputs.without_systematic_errors(), names, (Profile,)).values()
+    )
     plots = plot_ridges(inputs, audit, level, profiles)
     if isinstance(level, str):
-        summary["posterior_left_out"] = level
+        summary["no_posterior_reason"] = level
     else:
         summary["posterior"] = level.summary()
     for direction, said in zip(audit.analysis.directions, summary["directions"], strict=True):
@@ -117,7 +134,7 @@ def _draw_ridges(audit: Audit, draws: Draws | None, summary: dict[str, Any], run
 # --- profiles ----------------------------------------------------------------------------------------------------
 
 
-def choose_profiles(inputs: Planned, audit: Audit) -> list[str]:
+def choose_profiles(inputs: DesignVariant, audit: AuditOutcome) -> list[str]:
     """Return the config's profiles; where it names none, a known parameter and some that ridges are named after."""
     if inputs.config.profiles:
         return [name for name in inputs.config.profiles if name in inputs.names]
@@ -133,28 +150,39 @@ def choose_profiles(inputs: Planned, audit: Audit) -> list[str]:
     return list(chosen.values())
 
 
-def _compute_profile(bare: Planned, name: str) -> Profile:
+def _compute_profile(bare: DesignVariant, name: str) -> Profile:
     return compute_profile(bare.posterior, name, bare.expected[len(bare.names) :])
 
 
-def _tabulate_profiles(inputs: Planned, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
+def _tabulate_profiles(inputs: DesignVariant, profiles: list[Profile]) -> dict[str, pd.DataFrame]:
     units, known = inputs.units, inputs.parameters
     named = {name: units.name(unit) for name, unit in zip(known.names, known.units, strict=True)}
     factors = np.array([units.factor(unit) for unit in known.units])
-    rows, paths = [], []
+    rows, paths = list[ProfileRow](), list[ProfilePathRow]()
     for profile in profiles:
         place, there = known.names.index(profile.name), np.isfinite(profile.deviance)
         moved = np.ptp(profile.path[there] / known.sd, axis=0)
         followers = [int(k) for k in np.argsort(-moved) if k != place and moved[k] > 0.01][:PROFILES]
         for k in np.flatnonzero(there):
-            value = profile.values[k] / factors[place]
-            deviances = {"deviance_data": profile.data_deviance[k], "deviance_total": profile.deviance[k]}
-            rows.append({"parameter": profile.name, "unit": named[profile.name], "value": value, **deviances})
-            for other in followers:
-                name, at = known.names[other], profile.path[k, other] / factors[other]
-                follows = {"other": name, "other_unit": named[name], "other_value": at}
-                paths.append({"parameter": profile.name, "value": value, **follows})
-    tables = {"profiles": pd.DataFrame(rows), "profile_paths": pd.DataFrame(paths)}
+            point = ProfileRow(
+                parameter=profile.name,
+                unit=named[profile.name],
+                value=profile.values[k] / factors[place],
+                deviance_data=profile.data_deviance[k],
+                deviance_total=profile.deviance[k],
+            )
+            rows.append(point)
+            paths += [
+                ProfilePathRow(
+                    parameter=profile.name,
+                    value=point.value,
+                    other=known.names[other],
+                    other_unit=named[known.names[other]],
+                    other_value=profile.path[k, other] / factors[other],
+                )
+                for other in followers
+            ]
+    tables = {"profiles": ProfileRow.collect(rows), "profile_paths": ProfilePathRow.collect(paths)}
     return {name: table for name, table in tables.items() if len(table)}
 
 
@@ -173,13 +201,13 @@ class Case:
 STREAM = 5  # of random numbers; the same machines with the same noise for every case
 
 
-def _list_cases(audit: Audit) -> dict[str, Case]:
+def _list_cases(audit: AuditOutcome) -> dict[str, Case]:
     """Return simulated calibrations with everything free, and with the reduced set free and the rest held at nominal.
 
     In both all parameters are off by their tolerances.
     """
     information, outlooks = audit.analysis.information, audit.outlooks
-    if audit.inputs.config.simulated_calibrations == 0:
+    if audit.inputs.config.n_simulated_calibrations == 0:
         return {}
     every = np.arange(len(audit.inputs.names))
     claimed = {one.requirement.name: one.probability for one in outlooks}
@@ -193,10 +221,10 @@ def _list_cases(audit: Audit) -> dict[str, Case]:
     return cases
 
 
-def _simulate_case(inputs: Planned, case: Case) -> dict[str, Any]:
+def _simulate_case(inputs: DesignVariant, case: Case) -> dict[str, Any]:
     """Return what simulated calibrations reach beside what is predicted of them, in the config's units."""
     n, rng, units = (
-        inputs.config.simulated_calibrations,
+        inputs.config.n_simulated_calibrations,
         np.random.default_rng([inputs.config.seed, STREAM]),
         inputs.units,
     )
@@ -242,7 +270,7 @@ def _simulate_case(inputs: Planned, case: Case) -> dict[str, Any]:
     }
 
 
-def _average_machines(inputs: Planned) -> Array:
+def _average_machines(inputs: DesignVariant) -> Array:
     """Return posterior sds in tolerances as root mean squares over machines of the tolerances, shape (n,)."""
-    n, rng = inputs.config.expected_over_draws, np.random.default_rng([inputs.config.seed, 7])
+    n, rng = inputs.config.n_prior_draws, np.random.default_rng([inputs.config.seed, 7])
     return np.sqrt(np.diagonal(inputs.average(n, rng)))

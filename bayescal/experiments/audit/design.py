@@ -12,12 +12,12 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.machine import PlannedMachine
 from bayescal.experiments.audit.measured import Draws, MeasuredMachine, centre, describe_found, read_measured
-from bayescal.experiments.audit.planned import Planned, find_true_sizes
+from bayescal.experiments.audit.planned import DesignVariant, find_true_sizes
 from bayescal.experiments.audit.pose_sensors import ON_TOOL, find_channels, read_pose_sensors
-from bayescal.experiments.audit.schema import AuditConfig, VariantConfig
+from bayescal.experiments.audit.schema import AuditConfig, AuditVariantConfig
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
-from bayescal.experiments.frame.load import load_kind
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.load import load_kind
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.shared.design import known_symbols
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import read_instruments, read_model
@@ -38,7 +38,7 @@ class AuditDesign:
     """A design as read."""
 
     config: AuditConfig
-    plans: Mapping[str, Planned]  # by name: of all variants; none of a machine that has been measured
+    plans: Mapping[str, DesignVariant]  # by name: of all variants; none of a machine that has been measured
     measured: MeasuredMachine | None = None  # one that has been, whose posterior is still to be drawn
     sensors: SensorChoice | None = None  # sensors to choose from, if any
 
@@ -49,7 +49,7 @@ def load_audit(path: Path) -> AuditConfig:
     return config
 
 
-def read_plans(config: AuditConfig, folder: Path) -> dict[str, Planned]:
+def read_plans(config: AuditConfig, folder: Path) -> dict[str, DesignVariant]:
     """Return the plans of all variants; of a measured machine its posterior is drawn."""
     design = read_design(config, folder)
     return dict(design.plans) if design.measured is None else {config.variants[0].name: draw_plan(design, Run())[0]}
@@ -77,8 +77,8 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         for key, one in models.items()
     }
     maker = next(iter(makers.values()))
-    required = read_requirements(config.requirements, model, config.units, config.required_of)
-    planned, plans = maker.plan(config.poses), dict[str, Planned]()
+    required = read_requirements(config.requirements, model, config.units, config.requirement_applies_to)
+    planned, plans = maker.plan(config.poses), dict[str, DesignVariant]()
     for one in config.variants:
         with name_faults(f"variant {one.name!r}" if len(config.variants) > 1 else ""):
             own = makers[one.model, one.deformation]
@@ -86,20 +86,22 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
             check_changes(plans[one.name])
     check_profiles(list(dict.fromkeys(name for one in plans.values() for name in one.names)), config.profiles)
     check_reach(next(iter(plans.values())))
-    if (asked := config.sensor_choice) is None:
+    if (asked := config.sensor_selection) is None:
         return AuditDesign(config, plans)
-    with name_faults("sensor_choice"):
+    with name_faults("sensor_selection"):
         choices = list_choices(model, asked, maker.spread)
         listed = [name for one in asked.candidates for name in ([one] if isinstance(one, str) else one)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
-        section = VariantConfig(name="sensor_choice", sensors=[*asked.always, *listed], **what)
+        section = AuditVariantConfig(name="sensor_selection", sensors=[*asked.required_sensors, *listed], **what)
         every = build_plan(config, section, maker.build(section, planned), required, maker)
     seen = every.variant, every.expected, every.see_errors
-    choice = SensorChoice(asked, tuple(maker.spread(asked.always)), *seen, choices, required, every.units, config.seed)
+    choice = SensorChoice(
+        asked, tuple(maker.spread(asked.required_sensors)), *seen, choices, required, every.units, config.seed
+    )
     return AuditDesign(config, plans, None, choice)
 
 
-def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
+def draw_plan(design: AuditDesign, run: Run) -> tuple[DesignVariant, Draws | None]:
     """Return a measured machine at its poses as its posterior has it, and the draws of this, if any are wanted."""
     assert design.measured is not None
     config, (machine, draws, zeta) = design.config, centre(design.measured, run)
@@ -107,8 +109,8 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
     units = Units(config.units.length, config.units.angle)
     tau, sizes, floors, others = describe_found(posterior.errors, zeta)
     variant = machine.build(section, machine.own_poses)
-    required = read_requirements(config.requirements, machine.model, config.units, config.required_of)
-    plan = Planned(config, section, variant, required, units, machine, tau, sizes, floors, others)
+    required = read_requirements(config.requirements, machine.model, config.units, config.requirement_applies_to)
+    plan = DesignVariant(config, section, variant, required, units, machine, tau, sizes, floors, others)
     check_profiles(plan.names, config.profiles)
     check_changes(plan)
     return plan.resize(sizes), draws
@@ -116,22 +118,22 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[Planned, Draws | None]:
 
 def build_plan(
     config: AuditConfig,
-    section: VariantConfig,
+    section: AuditVariantConfig,
     variant: Variant,
     required: tuple[Requirement, ...],
     maker: PlannedMachine,
-) -> Planned:
+) -> DesignVariant:
     """Return a variant with the systematic errors that a study of it is expected to find."""
     true, error = find_true_sizes(config, variant), config.model_error
     units = Units(config.units.length, config.units.angle)
-    plan = Planned(config, section, variant, required, units, maker, error.tau, true, error.lengths())
+    plan = DesignVariant(config, section, variant, required, units, maker, error.tau, true, error.lengths())
     return plan.settle(true)
 
 
-def check_reach(plan: Planned) -> None:
+def check_reach(plan: DesignVariant) -> None:
     """Raise InputError for a planned pose, or one of the workspace as stated, that the actuators do not reach."""
     config, variant, workspace = plan.config, plan.variant, plan.variant.workspace
-    if config.workspace or config.poses.plan != "workspace":
+    if config.workspace or config.poses.sampling != "workspace":
         _check_reach(variant, variant.data.values, [f"poses: pose {name!r}" for name in variant.data.poses])
     if not config.workspace:
         return

@@ -29,17 +29,18 @@ from scipy.linalg import subspace_angles
 
 from bayescal.density.priors import UniformPrior
 from bayescal.errors import InputError
-from bayescal.experiments.audit.audit import Audit
+from bayescal.experiments.audit.audit import AuditOutcome
 from bayescal.experiments.audit.measured import SEED, Draws, MeasuredMachine
-from bayescal.experiments.audit.planned import Planned
+from bayescal.experiments.audit.planned import DesignVariant
+from bayescal.experiments.audit.rows import RidgeCurveRow, RidgeDrawRow
 from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.profile import Profile
 from bayescal.identifiability.reading_rows import typical_given
 from bayescal.identifiability.requirements import ToolRemaining
-from bayescal.limits import INFORMED
+from bayescal.limits import IDENTIFIABLE_CONTRACTION
 from bayescal.numerics.geometry import Array
 
-NEAR = 2.0  # a factor on the remaining variance within which a gap may stand in for the threshold
+GAP_FACTOR = 2.0  # a factor on the remaining variance within which a gap may stand in for the threshold
 PREDICTED = 300  # draws of which the workspace's poses are computed
 NOISES = 10  # for each of them
 MAX_DRAWS = 400
@@ -61,7 +62,7 @@ class SpaceAngle:
 class PosteriorLevel:
     """What draws say of n free parameters."""
 
-    inputs: Planned
+    inputs: DesignVariant
     origin: str  # of the draws, in words
     draws: Draws
     angle: SpaceAngle | None  # None where no direction is weak, or all are
@@ -105,7 +106,7 @@ class PosteriorLevel:
         }
 
 
-def audit_posterior(inputs: Planned, draws: Draws | None, audit: Audit) -> PosteriorLevel | str:
+def audit_posterior(inputs: DesignVariant, draws: Draws | None, audit: AuditOutcome) -> PosteriorLevel | str:
     """Return what draws of measured data's posterior say, or why there are none."""
     if not isinstance(inputs.maker, MeasuredMachine):
         return "nothing has been measured: an audit with [data] draws the posterior of a study"
@@ -137,12 +138,12 @@ def compare_spaces(information: Information, draws: Array) -> SpaceAngle | None:
 
 def _find_cut(variances: Array) -> int | None:
     """Return how many directions lie above the widest gap near the threshold; variances (n,), the largest first."""
-    threshold = 1.0 - INFORMED
+    threshold = 1.0 - IDENTIFIABLE_CONTRACTION
     own = int(np.sum(variances > threshold))
     if own in (0, len(variances)):
         return None
     larger, smaller = variances[:-1], variances[1:]
-    near = np.abs(np.log(larger * smaller) / 2.0 - np.log(threshold)) <= np.log(NEAR)
+    near = np.abs(np.log(larger * smaller) / 2.0 - np.log(threshold)) <= np.log(GAP_FACTOR)
     near[own - 1] = True
     return 1 + int(np.argmax(np.where(near, larger / smaller, 0.0)))
 
@@ -154,7 +155,7 @@ def _covariance(draws: Array) -> Array:
 # --- requirements ------------------------------------------------------------------------------------------------
 
 
-def judge_draws(inputs: Planned, draws: Draws, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+def judge_draws(inputs: DesignVariant, draws: Draws, rng: np.random.Generator) -> dict[str, dict[str, float]]:
     """Return how requirements stand by the machine itself, not by its derivatives.
 
     Each draw is one possible true machine. Where its tool is, is predicted by the mean of what all draws predict, or by
@@ -212,7 +213,7 @@ class RidgePlot:
 
 
 def plot_ridges(
-    inputs: Planned, audit: Audit, level: PosteriorLevel | str, profiles: Sequence[Profile] = ()
+    inputs: DesignVariant, audit: AuditOutcome, level: PosteriorLevel | str, profiles: Sequence[Profile] = ()
 ) -> dict[int, RidgePlot]:
     """Return what is drawn of each ridge, by its place among the directions."""
     ridges = {k: one for k, one in enumerate(audit.analysis.directions) if one.pivot is not None}
@@ -251,7 +252,7 @@ def plot_ridges(
     return plots
 
 
-def _draw_samples(inputs: Planned, covariance: Array, level: PosteriorLevel | str) -> dict[str, Array]:
+def _draw_samples(inputs: DesignVariant, covariance: Array, level: PosteriorLevel | str) -> dict[str, Array]:
     """Return parameters in natural units, (S, n), by source: of the prior, and of the posterior or its forecast."""
     rng, priors = np.random.default_rng([inputs.config.seed, SEED_OF_PLOTS]), inputs.maker.list_priors(inputs.section)
     columns = [
@@ -269,15 +270,16 @@ def _draw_samples(inputs: Planned, covariance: Array, level: PosteriorLevel | st
 
 def tabulate_plots(plots: dict[int, RidgePlot]) -> dict[str, pd.DataFrame]:
     """Return the tables ``ridge_draws`` and ``ridge_curves``; directions are counted from one."""
-    draws, curves = [], []
-    for number, plot in plots.items():
-        for source, points in plot.points.items():
-            table = pd.DataFrame(points, columns=["x", "y", "x_held", "y_held"])
-            draws.append(table.assign(direction=number + 1, source=source))
-        for source, line in plot.curves.items():
-            curves.append(pd.DataFrame(line, columns=["x", "y"]).assign(direction=number + 1, source=source))
-    if not plots:
-        return {}
-    first = ["direction", "source"]
-    tables = {"ridge_draws": pd.concat(draws), "ridge_curves": pd.concat(curves)}
-    return {name: t[first + [c for c in t.columns if c not in first]] for name, t in tables.items()}
+    draws = [
+        RidgeDrawRow.tabulate(
+            direction=k + 1, source=source, **dict(zip(("x", "y", "x_held", "y_held"), xy.T, strict=True))
+        )
+        for k, plot in plots.items()
+        for source, xy in plot.points.items()
+    ]
+    curves = [
+        RidgeCurveRow.tabulate(direction=k + 1, source=source, x=line[:, 0], y=line[:, 1])
+        for k, plot in plots.items()
+        for source, line in plot.curves.items()
+    ]
+    return {"ridge_draws": pd.concat(draws), "ridge_curves": pd.concat(curves)} if plots else {}

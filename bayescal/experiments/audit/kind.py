@@ -12,12 +12,13 @@ from rich.console import Console
 from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.design import AuditDesign, read_design
 from bayescal.experiments.audit.page.build import build_page
+from bayescal.experiments.audit.rows import ROWS
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.audit.terminal import show_audit
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment, look_at_machine
 from bayescal.experiments.shared.search_memory import find_largest, list_variant
 from bayescal.report.blocks import Page
@@ -27,6 +28,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
     """What a machine's measurements can and cannot determine."""
 
     schema = AuditConfig
+    rows = ROWS
     tables_in = "tables"
     digits = 0
 
@@ -59,7 +61,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 
-    def estimate_memory(self, inputs: AuditDesign) -> Need:
+    def estimate_memory(self, inputs: AuditDesign) -> MemoryEstimate:
         """Return what the derivatives at all planned poses take, the what-ifs' among them."""
         variants = {name: one.variant for name, one in inputs.plans.items()}
         if inputs.sensors is not None:

@@ -11,12 +11,12 @@ import numpy as np
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import check_moves
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.planned import PlannedPoses, count_poses
-from bayescal.experiments.audit.pose_sensors import PoseSensor
-from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
+from bayescal.experiments.audit.pose_sensors import PlannedPoseSensor
+from bayescal.experiments.audit.schema import AuditConfig, AuditVariantConfig, PlannedPosesConfig
 from bayescal.experiments.shared.readings.errors import build_terms_of_model, find_own_channels, measure_ranges
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.noise import noise_of_channels
@@ -44,12 +44,12 @@ class PlannedMachine:
     folder: Path  # where the config's file names start
     model: ReadingModel  # with all instruments
     workspace: Workspace
-    sensors: Mapping[str, PoseSensor]  # by name: those whose noise follows from what they tell of a pose
+    sensors: Mapping[str, PlannedPoseSensor]  # by name: those whose noise follows from what they tell of a pose
     symbols: Collection[str]  # of parameters that other variants' machines have
 
     # --- poses -----------------------------------------------------------------------------------------------------
 
-    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+    def plan(self, section: PlannedPosesConfig, factor: float = 1.0) -> PlannedPoses:
         """Return where it is planned to measure, of a workspace so many times as wide.
 
         InputError for a faulty file, missing bounds and a pose at which the machine as expected cannot be.
@@ -60,7 +60,7 @@ class PlannedMachine:
             expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
             table, names = read_named(self.folder / section.file, known, expected)
             return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))
-        check_given(config.given, model)
+        check_given(config.conditions, model)
         rng, layout = np.random.default_rng([config.seed, 8]), model.layout
         priors, fixed, _ = choose_priors(config, FreeConfig(), layout, self.symbols)
         expects = fixed | {name: one.mean for name, one in priors.items()}
@@ -77,9 +77,9 @@ class PlannedMachine:
             else:  # or, without any, from home
                 home = model.read(theta, model.home_pose[None], {name: np.ones(1) for name in model.given})
                 middle = home[0, commanded]
-            return locate(model, theta, middle, moves, draw_given(config.given, len(moves), rng))
+            return locate(model, theta, middle, moves, draw_given(config.conditions, len(moves), rng))
         assert section.count is not None
-        given = draw_given(config.given, section.count, rng)
+        given = draw_given(config.conditions, section.count, rng)
         return plan_random(model, theta, section, given, self.workspace.widen(factor), rng, config.seed)
 
     # --- variants ----------------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ class PlannedMachine:
             channel for name in names for channel in (self.sensors[name].channels if name in self.sensors else [name])
         ]
 
-    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+    def list_priors(self, section: AuditVariantConfig) -> Mapping[str, Prior]:
         """Return the priors of a variant's free parameters as they are stated, by name."""
         return choose_priors(self.config, section, self.model.layout, self.symbols)[0]
 
@@ -107,7 +107,7 @@ class PlannedMachine:
                 found[name] = own
         return found
 
-    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+    def build(self, section: AuditVariantConfig, planned: PlannedPoses) -> Variant:
         """Return a variant at planned poses; InputError for one at which the machine as expected cannot be."""
         config, whole = self.config, self.model
         chosen = whole.select(self.spread(list(config.sensors) if section.sensors is None else section.sensors))
@@ -117,13 +117,13 @@ class PlannedMachine:
         shared = section.model_dump(include=set(FreeConfig.model_fields) | {"name", "sensors"})
         shape = (len(planned.names), len(chosen))
         variant = Variant(
-            FittedConfig(**shared, title=section.label, noise="stated"),
+            FittedConfig(**shared, title=section.label, noise_known=True),
             whole,
             model,
             {name: NormalPrior(one.mean, one.sd) for name, one in priors.items()},
             fixed,
             common,
-            Errors(),
+            ErrorModel(),
             Measurements(planned.names, np.zeros(shape), np.ones(shape), planned.given),
             np.zeros(shape[0], dtype=bool),
             planned.pose,
@@ -144,7 +144,7 @@ class PlannedMachine:
         used = ~variant.verification
         own = find_own_channels(variant.posterior(), variant.data, planned.pose, used, reach, positions, self.workspace)
         terms, missing = build_terms_of_model(config.model_error, model, variant.data, own, priors, few=True)
-        return replace(variant, errors=Errors(terms), missing=missing)
+        return replace(variant, errors=ErrorModel(terms), missing=missing)
 
     def _add_noise(self, data: Measurements, chosen: np.ndarray, read: Array) -> Measurements:
         """Return readings of the chosen channels with their noise, all channels reading (P, K)."""
@@ -172,7 +172,7 @@ class PlannedMachine:
 def plan_random(
     model: ReadingModel,
     theta: Array,
-    section: PosesConfig,
+    section: PlannedPosesConfig,
     given: Given,
     workspace: Workspace,
     rng: np.random.Generator,
@@ -183,16 +183,18 @@ def plan_random(
     InputError where the actuators have no range, or there is a position at which the machine cannot stand.
     """
     assert section.count is not None
-    if section.plan == "workspace":
+    if section.sampling == "workspace":
         pose, _ = draw_standing(model, workspace, theta, given, section.count, rng)
         return PlannedPoses(count_poses(section.count), pose, dict(given))
     limits = model.command_range
     if not len(limits) or not np.isfinite(limits).all():
-        raise InputError(f"poses.plan: found {section.plan!r}, but no range of the actuators, expected 'workspace'")
+        raise InputError(
+            f"poses.sampling: found {section.sampling!r}, but no range of the actuators, expected 'workspace'"
+        )
     half = 0.5 * (limits[:, 1] - limits[:, 0]) if section.range_mm is None else section.range_mm
     rng = np.random.default_rng([seed, 1])
     shape = section.count, len(limits)
-    shares = rng.integers(-1, 2, shape) if section.plan == "extremes" else rng.uniform(-1.0, 1.0, shape)
+    shares = rng.integers(-1, 2, shape) if section.sampling == "extremes" else rng.uniform(-1.0, 1.0, shape)
     return locate(model, theta, limits.mean(axis=1), np.asarray(half * shares), given)
 
 

@@ -17,15 +17,15 @@ import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
-from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.machine import plan_random
 from bayescal.experiments.audit.planned import PlannedPoses
-from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.audit.schema import AuditConfig, AuditVariantConfig, PlannedPosesConfig
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, check_told
@@ -66,10 +66,10 @@ class MeasuredMachine:
     @property
     def own_poses(self) -> PlannedPoses:
         """The poses that were measured, where the machine of least squares stands."""
-        likelihood, data = self.found.anchored.likelihood, self.found.posterior.likelihood.data
+        likelihood, data = self.found.with_pose_guesses.likelihood, self.found.posterior.likelihood.data
         return PlannedPoses(data.poses, likelihood.start, dict(data.given), np.arange(data.n_poses))
 
-    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+    def list_priors(self, section: AuditVariantConfig) -> Mapping[str, Prior]:
         """Return the study's priors."""
         del section
         return self.found.posterior.priors
@@ -79,7 +79,7 @@ class MeasuredMachine:
         del used
         return {}
 
-    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+    def plan(self, section: PlannedPosesConfig, factor: float = 1.0) -> PlannedPoses:
         """Return random poses of a workspace so many times as wide, or of the actuators; InputError for a file."""
         if section.count is None:
             raise InputError("poses: found a file beside [data], expected a count")
@@ -88,7 +88,7 @@ class MeasuredMachine:
         workspace, rng = self.workspace.widen(factor), np.random.default_rng([seed, 8])
         return plan_random(self.model, theta, section, given, workspace, rng, seed)
 
-    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+    def build(self, section: AuditVariantConfig, planned: PlannedPoses) -> Variant:
         """Return the variant at poses, of others than those measured seen as well as these on average."""
         if section.sensors is not None:
             raise InputError("sensors: found them beside [data], expected those of the study")
@@ -106,13 +106,13 @@ class MeasuredMachine:
         }
         nothing = Measurements(planned.names, np.zeros_like(sd), sd, planned.given, correlation)
         variant = Variant(
-            FittedConfig(name=section.name, title=section.label, noise="stated"),
+            FittedConfig(name=section.name, title=section.label, noise_known=True),
             model,
             model,
             priors,
             posterior.fixed,
             posterior.common,
-            Errors(),
+            ErrorModel(),
             nothing,
             np.zeros(len(planned.names), dtype=bool),
             planned.pose,
@@ -127,19 +127,19 @@ class MeasuredMachine:
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.plain(), planned.pose, self.workspace)
         terms = tuple(_move(one, model, variant.data, planned.pose) for one in posterior.errors.terms)
-        return replace(variant, errors=Errors(terms))
+        return replace(variant, errors=ErrorModel(terms))
 
 
 def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:
     """Return a study's error at other rows; functions of the pose are made of few columns there."""
-    if not isinstance(term, FunctionsOfPose):
+    if not isinstance(term, GPTerm):
         return term
     read, places = model.read(model.layout.nominal, pose, data.given), term.own.places
     home = np.full(len(model.channels), np.nan)
     home[places] = term.own.home
     rows = RowPositions.find(model.channels, data, read, home).pick(places)
     own = replace(term.own, rows=rows, n_places=data.n_poses, used=np.ones(data.n_poses, dtype=bool))
-    return ThinFunctionsOfPose(term.sort, own, term.scale, term.floor, n_channels=len(model.channels))
+    return LowRankGPTerm(term.sort, own, term.scale, term.floor, n_channels=len(model.channels))
 
 
 def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
@@ -170,14 +170,14 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
     found = found.count_by_row()
     posterior = found.posterior
     if posterior.errors.outliers.expected:
-        raise InputError(f"{where}: found outlier_share, expected none: audits have no poses that may be spoilt")
+        raise InputError(f"{where}: found outlier_fraction, expected none: audits have no poses that may be spoilt")
     model_of, scale = posterior.likelihood.model, posterior.likelihood.model.pose_scale
     workspace = (
         build_workspace(model_of, config.workspace, config.units)
         if config.workspace
         else Workspace(found.low, found.high, scale)
     )
-    return MeasuredMachine(config, found, workspace, _name(found, found.anchored.begin))
+    return MeasuredMachine(config, found, workspace, _name(found, found.with_pose_guesses.begin))
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,9 +202,9 @@ class Draws:
 def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
     """Return draws of what was found of a machine, at least so many: explored first, as a study does it."""
     found, config, wanted, seed = task
-    target = found.anchored
+    target = found.with_pose_guesses
     explore_seed, ensemble_seed = np.random.SeedSequence([seed, SEED]).spawn(2)
-    exploration = explore(target, explore_seed, config.walkers, anew=True)
+    exploration = explore(target, explore_seed, config.walkers, from_prior=True)
     walkers = count_walkers(target.n_parameters, config.walkers)
     steps = max(LEAST_STEPS, -(-wanted // (config.ensembles * walkers)))
     drawn = sample_posterior(exploration, ensemble_seed, config.ensembles, config.walkers, config.burn_in, steps)
@@ -218,7 +218,7 @@ def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
 
 def _take(found: MeasuredReadings, y: Array) -> tuple[Array, Array]:
     """Return parameters (S, m), in the order of the readings' posterior, and errors (S, k) of draws (S, n)."""
-    target, names = found.anchored, found.posterior.sampling.names
+    target, names = found.with_pose_guesses, found.posterior.sampling.names
     places = [target.names.index(name) for name in names]
     return target.natural(y)[:, places], found.posterior.zeta(y)
 
@@ -240,21 +240,23 @@ def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws 
         draws = run.once("posterior", draw, (found, config.posterior, wanted, config.seed), (Draws,))
         where = dict(zip(found.posterior.sampling.names, draws.mean.tolist(), strict=True))
         return replace(measured, centre=where), draws, draws.zeta
-    mode = find_modes(found.anchored)[0].y
+    mode = find_modes(found.with_pose_guesses)[0].y
     return replace(measured, centre=_name(found, mode)), None, found.posterior.zeta(mode[None])
 
 
-def describe_found(errors: Errors, zeta: Array) -> tuple[float, dict[str, float], dict[str, float], dict[str, float]]:
+def describe_found(
+    errors: ErrorModel, zeta: Array
+) -> tuple[float, dict[str, float], dict[str, float], dict[str, float]]:
     """Return root mean squares over draws (S, k) of errors: τ and sizes by sort, mm, then floors, and others' means.
 
     The latter are standardised, by name.
     """
     square, sizes, floors, others = list[float](), dict[str, float](), dict[str, float](), dict[str, float]()
     for term, own in errors.of(errors.limit(zeta)):
-        if isinstance(term, FunctionsOfPose):
+        if isinstance(term, GPTerm):
             sizes[term.sort] = float(np.sqrt(np.mean(term.amplitude(own) ** 2)))
             floors |= {term.sort: term.floor} if term.floor > 0.0 else {}
-        elif isinstance(term, IndependentErrors):
+        elif isinstance(term, RandomTerm):
             square.append(float(np.mean(term.square(own))))
         else:
             others |= dict(zip(term.names, own.mean(axis=0).tolist(), strict=True))

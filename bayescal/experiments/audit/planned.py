@@ -16,25 +16,25 @@ import numpy as np
 from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors, ThinFunctionsOfPose
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
+from bayescal.density.calibration.terms import ErrorModel
+from bayescal.density.pose_kernels import DRIFT, rescale
 from bayescal.density.priors import Prior
-from bayescal.density.sorts import DRIFT, rescale
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.audit.schema import AuditConfig, PosesConfig, VariantConfig, WhatIfConfig
+from bayescal.experiments.audit.schema import AuditConfig, AuditVariantConfig, PlannedPosesConfig, ScenarioConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import (
-    foresee,
     inform,
+    linearise_workspace,
     look,
-    look_around,
+    predict_tool_errors,
 )
 from bayescal.identifiability.calibration import Calibrations
 from bayescal.identifiability.directions import Direction
-from bayescal.identifiability.found_sizes import expect_sizes
+from bayescal.identifiability.error_size_information import expect_sizes
 from bayescal.identifiability.information import Information, information_of_rows, root_of
-from bayescal.identifiability.reading_rows import View, see, typical_covariance, typical_given
-from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement
+from bayescal.identifiability.reading_rows import LinearisedPoses, see, typical_covariance, typical_given
+from bayescal.identifiability.requirements import ErrorsInUse, Requirement, WorkspaceErrorModel
 from bayescal.identifiability.ridges import Ridge, describe_ridges
 from bayescal.identifiability.structure import Structure, find_structural_rank
 from bayescal.machines.readings import ReadingModel
@@ -44,7 +44,7 @@ from bayescal.numerics.units import Units
 WIDER = (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, 1.0)
 """Times the workspace from which the structural rank is taken; the first that the machine can take."""
 WIDE_POSES = 40
-NOTHING = -8.0  # a coordinate at which an error is as good as none
+OFF_COORDINATE = -8.0  # a coordinate at which an error is as good as none
 ROUNDS = 20  # of machines that are drawn again
 
 
@@ -75,20 +75,20 @@ def count_poses(n: int) -> tuple[str, ...]:
     return tuple(f"P{k:03d}" for k in range(1, n + 1))
 
 
-class Maker(Protocol):
+class VariantSource(Protocol):
     """What variants are made of: a machine that is to be measured, or has been."""
 
     @property
     def model(self) -> ReadingModel:
         """The machine with all instruments, or the channels that a study takes in."""
 
-    def plan(self, section: PosesConfig, factor: float = 1.0) -> PlannedPoses:
+    def plan(self, section: PlannedPosesConfig, factor: float = 1.0) -> PlannedPoses:
         """Return where to measure, of a workspace so many times as wide; InputError where that cannot be."""
 
-    def build(self, section: VariantConfig, planned: PlannedPoses) -> Variant:
+    def build(self, section: AuditVariantConfig, planned: PlannedPoses) -> Variant:
         """Return a variant at poses; InputError for one at which the machine cannot be."""
 
-    def list_priors(self, section: VariantConfig) -> Mapping[str, Prior]:
+    def list_priors(self, section: AuditVariantConfig) -> Mapping[str, Prior]:
         """Return the priors of a variant's free parameters as they are stated, by name."""
 
     def list_unused(self, used: Sequence[str]) -> dict[str, list[str]]:
@@ -96,15 +96,15 @@ class Maker(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class DesignVariant:
     """A variant of an audit: channels, free parameters and planned poses."""
 
     config: AuditConfig
-    section: VariantConfig
+    section: AuditVariantConfig
     variant: Variant  # its readings those of the machine as expected, without noise
     requirements: Sequence[Requirement]  # of the tool's numbers, inner units
     units: Units  # those of tolerances, requirements and results
-    maker: Maker
+    maker: VariantSource
     tau: float  # root mean square of errors that are independent from pose to pose, mm at the tool
     # by term: rms over the planned poses of systematic errors as they are allowed for, mm at the tool
     sizes: Mapping[str, float]
@@ -123,10 +123,10 @@ class Planned:
         """The machine and its errors as expected, in the posterior's coordinates."""
         found = [np.zeros(self.posterior.n_geometry)]
         for term in self.variant.errors.terms:
-            if isinstance(term, FunctionsOfPose | IndependentErrors):
-                size = self.sizes[term.sort] if isinstance(term, FunctionsOfPose) else self.tau
+            if isinstance(term, GPTerm | RandomTerm):
+                size = self.sizes[term.sort] if isinstance(term, GPTerm) else self.tau
                 beyond = np.array([np.sqrt(max(0.0, size**2 - term.floor**2))])
-                found.append(np.maximum(term.priors[0].standardise(beyond), NOTHING))
+                found.append(np.maximum(term.priors[0].standardise(beyond), OFF_COORDINATE))
             else:
                 found.append(np.array([self.zeta[name] for name in term.names]))
         return np.concatenate(found)
@@ -171,9 +171,11 @@ class Planned:
         return bool(self.variant.model.find_beyond(self.variant.data.values).any())
 
     @cached_property
-    def around(self) -> View:
+    def around(self) -> LinearisedPoses:
         """Poses of the workspace seen by the machine's own sensors."""
-        return look_around(self.variant, self.posterior, self.expected, np.random.default_rng([self.config.seed, 5]))
+        return linearise_workspace(
+            self.variant, self.posterior, self.expected, np.random.default_rng([self.config.seed, 5])
+        )
 
     def inform(self) -> Information:
         """Return what the plan tells of the parameters."""
@@ -183,12 +185,12 @@ class Planned:
         """Return what no readings of these channels see, poses far beyond the plan's included."""
         count = max(WIDE_POSES, 2 * len(self.names) // max(1, len(self.variant.model.channels)))
         with np.errstate(all="ignore"):
-            wide = next(self._spread(PosesConfig(count=count)), self)
-            return find_structural_rank(replace(wide.variant, errors=Errors()).plain(), rng)
+            wide = next(self._spread(PlannedPosesConfig(count=count)), self)
+            return find_structural_rank(replace(wide.variant, errors=ErrorModel()).plain(), rng)
 
-    def _spread(self, section: PosesConfig) -> Iterator[Planned]:
+    def _spread(self, section: PlannedPosesConfig) -> Iterator[DesignVariant]:
         """Yield the same at poses of wider workspaces than its own, as far as the machine can take them."""
-        if self.variant.model.given and not self.config.given:
+        if self.variant.model.given and not self.config.conditions:
             return  # what the machine has to know of each pose stands in a file
         for factor in WIDER:
             try:
@@ -196,13 +198,13 @@ class Planned:
             except InputError:
                 continue
 
-    def forecast(self) -> Forecast:
+    def forecast(self) -> WorkspaceErrorModel:
         """Return how the tool errs over the workspace, located by the machine's own sensors."""
-        return self.foresee(self.expected, self.around)
+        return self.predict_tool_errors(self.expected, self.around)
 
-    def foresee(self, machine: Array, around: View) -> Forecast:
+    def predict_tool_errors(self, machine: Array, around: LinearisedPoses) -> WorkspaceErrorModel:
         """Return how the tool of a machine, in the posterior's coordinates, errs at poses."""
-        return foresee(self.variant, self.posterior, machine, around, self.see_errors(around.pose))
+        return predict_tool_errors(self.variant, self.posterior, machine, around, self.see_errors(around.pose))
 
     def describe(self, directions: Sequence[Direction]) -> list[Ridge]:
         """Return the ridges among directions: how far the parameters move together, and what readings show of it."""
@@ -231,7 +233,7 @@ class Planned:
 
     def list_rows(self) -> tuple[Array, Array, np.ndarray]:
         """Return white rows (K, n), their columns of systematic errors (K, q), and of which term each is (q,)."""
-        bare, (_, errors, zeta) = self.bare(), self.posterior.at(self.expected[None])
+        bare, (_, errors, zeta) = self.without_systematic_errors(), self.posterior.at(self.expected[None])
         likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
         white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
         columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
@@ -239,25 +241,25 @@ class Planned:
         sorts = np.repeat(np.arange(len(widths)), widths)
         return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
-    def settle(self, true: Mapping[str, float]) -> Planned:
+    def settle(self, true: Mapping[str, float]) -> DesignVariant:
         """Return the same with the sizes that a study is expected to find of errors of these sizes, mm."""
         if not true:
-            return self.bare()
+            return self.without_systematic_errors()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
         scale = list_functions(self.variant)[0].scale  # of the prior of each size, as a study has it, mm
         return self.resize(expect_sizes(*rows, true, self.floors, scale))
 
-    def resize(self, sizes: Mapping[str, float]) -> Planned:
+    def resize(self, sizes: Mapping[str, float]) -> DesignVariant:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""
         terms = tuple(
-            replace(term, floor=0.0) if isinstance(term, FunctionsOfPose) else term
+            replace(term, floor=0.0) if isinstance(term, GPTerm) else term
             for term in self.variant.errors.terms
-            if not isinstance(term, FunctionsOfPose) or sizes.get(term.sort, 0.0) > 0.0
+            if not isinstance(term, GPTerm) or sizes.get(term.sort, 0.0) > 0.0
         )
-        variant = replace(self.variant, errors=Errors(terms))
+        variant = replace(self.variant, errors=ErrorModel(terms))
         return replace(self, variant=variant, sizes={one.sort: sizes[one.sort] for one in list_functions(variant)})
 
-    def bare(self) -> Planned:
+    def without_systematic_errors(self) -> DesignVariant:
         """Return the same without systematic errors."""
         return self.resize({})
 
@@ -267,7 +269,7 @@ class Planned:
         A drift is another one at another time, as large as it is on average; of smooth functions the planned poses do
         not tell all.
         """
-        data, model, n, bare = self.variant.data, self.variant.model, len(pose), self.bare()
+        data, model, n, bare = self.variant.data, self.variant.model, len(pose), self.without_systematic_errors()
         variance = np.tile(np.diagonal(typical_covariance(bare.posterior, bare.expected)), (n, 1))
         if not self.sizes:
             return ErrorsInUse(variance, None)
@@ -291,7 +293,7 @@ class Planned:
 
     # --- other plans -----------------------------------------------------------------------------------------------
 
-    def replan(self, poses: PlannedPoses, section: VariantConfig | None = None) -> Planned:
+    def replan(self, poses: PlannedPoses, section: AuditVariantConfig | None = None) -> DesignVariant:
         """Return the same machine at other poses; InputError for one at which it cannot stand."""
         section = section or self.section
         variant = self.maker.build(section, poses)
@@ -301,31 +303,31 @@ class Planned:
             return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
         return changed.settle(find_true_sizes(self.config, variant) if self.sizes else {})
 
-    def list_changes(self) -> list[WhatIfConfig]:
+    def list_changes(self) -> list[ScenarioConfig]:
         """Return changes of this kind of plan that are evaluated where the config names none.
 
         Poses at the ends of the actuators' range and over all of it, no systematic errors, and each instrument that is
         listed and not taken in, where no other variant takes it in either.
         """
-        config, n, changes = self.config, self.n_poses, list[WhatIfConfig]()
+        config, n, changes = self.config, self.n_poses, list[ScenarioConfig]()
         limits = self.variant.model.command_range
         if len(limits) and np.isfinite(limits).all() and config.data is None:
             for plan, words in (("extremes", "at the ends of the range"), ("uniform", "spread evenly over the range")):
-                if config.poses.plan != plan:
-                    poses = PosesConfig.model_validate({"plan": plan, "count": n})
-                    changes.append(WhatIfConfig(name=f"{n} poses {words}", poses=poses))
+                if config.poses.sampling != plan:
+                    poses = PlannedPosesConfig.model_validate({"sampling": plan, "count": n})
+                    changes.append(ScenarioConfig(name=f"{n} poses {words}", poses=poses))
         if self.sizes:
-            changes.append(WhatIfConfig(name="no error that is a function of the pose", model_error=False))
+            changes.append(ScenarioConfig(name="no error that is a function of the pose", model_error=False))
         used = list(config.sensors) if self.section.sensors is None else self.section.sensors
         beside = {part for one in self.variant.model.channels if one.external for part in (one.name, one.kind)}
         own = [name for name in used if name not in beside]
         for name, sensors in self.maker.list_unused(used).items() if len(config.variants) == 1 else ():
             words = name.replace("_", " ")
-            changes.append(WhatIfConfig(name=f"{words} instead", sensors=[*own, *sensors]))
-            changes.append(WhatIfConfig(name=f"{words} too", sensors=[*used, *sensors]))
+            changes.append(ScenarioConfig(name=f"{words} instead", sensors=[*own, *sensors]))
+            changes.append(ScenarioConfig(name=f"{words} too", sensors=[*used, *sensors]))
         return changes
 
-    def change(self, change: WhatIfConfig) -> Planned:
+    def change(self, change: ScenarioConfig) -> DesignVariant:
         """Return the same machine with a changed plan; InputError where there is none."""
         config, data = change.poses or self.config.poses, self.variant.data
         count = max(1, round(change.poses_factor * self.n_poses))
@@ -348,7 +350,7 @@ class Planned:
         factors = np.where(changed.variant.internal, change.actuator_noise_factor, change.noise_factor)
         noisy = replace(changed.variant.data, sd=changed.variant.data.sd * factors)
         changed = replace(changed, variant=replace(changed.variant, data=noisy))
-        return changed if change.model_error else changed.bare()
+        return changed if change.model_error else changed.without_systematic_errors()
 
     # --- checks ----------------------------------------------------------------------------------------------------
 
@@ -396,7 +398,7 @@ class Planned:
         )
 
     def _draw(self, n: int, rng: np.random.Generator) -> tuple[Array, Array, int]:
-        """Return machines (n, m) of the priors, what they read (n, P, K), and how many were drawn anew."""
+        """Return machines (n, m) of the priors, what they read (n, P, K), and how many were drawn again."""
         data, model, posterior = self.variant.data, self.variant.model, self.posterior
         y, redrawn = rng.standard_normal((n, len(self.names))), 0
         values = np.empty((n, *data.values.shape))
@@ -425,7 +427,7 @@ class Planned:
         for halfway, error in zip(y + 0.5 * errors, errors, strict=True):
             machine = np.concatenate([halfway, self.expected[len(halfway) :]])
             around = look(self.posterior, self.variant, machine, self.around.pose, self.variant.internal)
-            forecast = self.foresee(machine, around)
+            forecast = self.predict_tool_errors(machine, around)
             if not (len(around.pose) and np.isfinite(forecast.slope).all() and np.isfinite(forecast.noise).all()):
                 continue
             root = root_of(forecast.noise)
@@ -446,9 +448,9 @@ class Planned:
         return total / count
 
 
-def list_functions(variant: Variant) -> list[ThinFunctionsOfPose]:
+def list_functions(variant: Variant) -> list[LowRankGPTerm]:
     """Return the terms of a variant that are functions of the pose."""
-    return [one for one in variant.errors.terms if isinstance(one, ThinFunctionsOfPose)]
+    return [one for one in variant.errors.terms if isinstance(one, LowRankGPTerm)]
 
 
 def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:

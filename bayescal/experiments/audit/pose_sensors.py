@@ -26,7 +26,7 @@ BLIND = 1e-12  # of the largest eigenvalue of a pose's information, below which 
 
 
 @dataclass(frozen=True, eq=False)
-class PoseSensor:
+class PlannedPoseSensor:
     """A sensor of poses and its channels."""
 
     name: str
@@ -54,7 +54,7 @@ def read_pose_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
     return {name: build_sensor(name, one, folder) for name, one in sections.items()}
 
 
-def find_channels(sensors: Mapping[str, Sensor], model: ReadingModel) -> dict[str, PoseSensor]:
+def find_channels(sensors: Mapping[str, Sensor], model: ReadingModel) -> dict[str, PlannedPoseSensor]:
     """Return sensors with their channels of a machine before which their instruments are placed."""
     found = {}
     for name, sensor in sensors.items():
@@ -66,5 +66,5 @@ def find_channels(sensors: Mapping[str, Sensor], model: ReadingModel) -> dict[st
         if not seen.any():
             raise InputError(f"sensors.{name}: found no information on any coordinate, expected some")
         assert len(places) == DEGREES_OF_FREEDOM
-        found[name] = PoseSensor(name, sensor, tuple(model.names[k] for k in places[seen]), seen)
+        found[name] = PlannedPoseSensor(name, sensor, tuple(model.names[k] for k in places[seen]), seen)
     return found

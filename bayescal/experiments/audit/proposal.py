@@ -13,13 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import ThinFunctionsOfPose
-from bayescal.density.sorts import DRIFT, Place, PoseFunctions
+from bayescal.density.calibration.model_error import LowRankGPTerm
+from bayescal.density.pose_kernels import DRIFT, KernelInput, PoseFunctions
 from bayescal.errors import InputError
-from bayescal.experiments.audit.planned import Planned, PlannedPoses, count_poses, list_functions
-from bayescal.experiments.audit.schema import PosesConfig
+from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses, count_poses, list_functions
+from bayescal.experiments.audit.schema import PlannedPosesConfig
 from bayescal.experiments.shared.readings.knowledge import differentiate
-from bayescal.identifiability.reading_rows import Slopes, typical_given, whiten
+from bayescal.identifiability.reading_rows import Jacobians, typical_given, whiten
 from bayescal.identifiability.requirements import find_limits
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import add_poses
@@ -27,19 +27,19 @@ from bayescal.pose_selection.next_pose import add_poses
 RANDOM = 150  # poses of the workspace, and as many of the ends of the actuators' range
 
 
-def propose(plan: Planned) -> tuple[str, Planned] | None:
+def propose(plan: DesignVariant) -> tuple[str, DesignVariant] | None:
     """Return as many poses as planned, chosen I-optimally, with a name; None where the tool is not determined.
 
     Out of the planned ones, random ones of the workspace and, where the actuators' range is known, of its ends.
     """
-    bare, n = plan.bare(), plan.n_poses
+    bare, n = plan.without_systematic_errors(), plan.n_poses
     pools = (_list_pool(plan), plan.around.pose)
     slopes = [differentiate(bare.posterior, bare.variant, bare.expected, one) for one in pools]
     errors, noise = _share_errors(plan, [one.pose for one in slopes])
     tried, in_use = (replace(one, noise=one.noise + np.diag(noise)) for one in slopes)
     internal, every = plan.variant.internal, np.ones(len(noise), dtype=bool)
-    rows = np.concatenate([tried.seen_by(every).rows, _project(tried, errors[0])], axis=-1)
-    at = in_use.seen_by(internal)
+    rows = np.concatenate([tried.select_channels(every).rows, _project(tried, errors[0])], axis=-1)
+    at = in_use.select_channels(internal)
     tool = at.align(np.concatenate([at.whole, -at.located @ (whiten(in_use.noise, internal) @ errors[1])], axis=-1))
     if not np.isfinite(tool).all() or len(rows) < n:
         return None
@@ -49,18 +49,18 @@ def propose(plan: Planned) -> tuple[str, Planned] | None:
     return f"{n} poses chosen I-optimally", plan.replan(poses)
 
 
-def _list_pool(plan: Planned) -> Array:
+def _list_pool(plan: DesignVariant) -> Array:
     """Return the poses (C, q) out of which others are chosen."""
     variant = plan.variant
     random = variant.workspace.draw(RANDOM, np.random.default_rng([plan.config.seed, 9]))
     try:
-        ends = plan.maker.plan(PosesConfig(plan="extremes", count=RANDOM)).pose
+        ends = plan.maker.plan(PlannedPosesConfig(sampling="extremes", count=RANDOM)).pose
     except InputError:  # the actuators have no range, or the machine cannot stand there
         ends = random[:0]
     return np.concatenate([variant.start, random, ends])
 
 
-def _share_errors(plan: Planned, poses: Sequence[Array]) -> tuple[list[Array], Array]:
+def _share_errors(plan: DesignVariant, poses: Sequence[Array]) -> tuple[list[Array], Array]:
     """Return what coefficients of unit prior do to channels at some sets of poses, (P, K, q) each, and a variance (K,).
 
     Coefficients are the same at all poses.
@@ -75,7 +75,7 @@ def _share_errors(plan: Planned, poses: Sequence[Array]) -> tuple[list[Array], A
             continue
         places = [_locate(term, one) for one in read]
         travel = np.concatenate([own.place.travel, *(one.travel for one in places)])
-        functions = PoseFunctions((term.sort,), own.place, Place(travel, np.zeros(len(travel))), own.covered)
+        functions = PoseFunctions((term.sort,), own.place, KernelInput(travel, np.zeros(len(travel))), own.covered)
         variance[own.places] += float(functions.left[0]) * (size / own.levers) ** 2
         for found, place in zip(columns, places, strict=True):
             basis, n = functions.list_bases(place)[0], len(own.places)  # of each channel its own coefficients
@@ -87,14 +87,14 @@ def _share_errors(plan: Planned, poses: Sequence[Array]) -> tuple[list[Array], A
     return [np.concatenate([none, *found], axis=-1) for none, found in zip(nothing, columns, strict=True)], variance
 
 
-def _locate(term: ThinFunctionsOfPose, read: Array) -> Place:
+def _locate(term: LowRankGPTerm, read: Array) -> KernelInput:
     """Return where functions are evaluated at what channels read (P, K)."""
     order = int(term.own.rows.order.max()) + 1 + np.arange(len(read))
     later = Measurements(tuple(map(str, order)), read, np.ones_like(read), order=order)
     return term.own.place_of(later)
 
 
-def _project(slopes: Slopes, shown: Array) -> Array:
+def _project(slopes: Jacobians, shown: Array) -> Array:
     """Return white readings by coefficients (P, K, q), free of the poses."""
     white = whiten(slopes.noise, np.ones(len(slopes.noise), dtype=bool))
     slope, acted = white @ slopes.by_pose, white @ shown

@@ -2,26 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bayescal.config.classes import label_class
-from bayescal.experiments.audit.audit import Audit, ChangeEffect, judge
-from bayescal.experiments.audit.planned import Planned
-from bayescal.experiments.shared.function_errors import has_lengths
-from bayescal.experiments.shared.hidden import tabulate_hidden
-from bayescal.experiments.shared.readings.knowledge import name_data, name_place
+from bayescal.experiments.audit.audit import AuditOutcome, ChangeEffect, judge
+from bayescal.experiments.audit.planned import DesignVariant
+from bayescal.experiments.audit.rows import (
+    AXES,
+    PREDICTED_SD,
+    AlternativeRow,
+    AuditCombinationRow,
+    AuditParameterRow,
+    AuditRequirementRow,
+    AuditScenarioRow,
+    AuditVariantRow,
+    DirectionRow,
+    FreeingStepRow,
+    PlanSweepRow,
+    SpectrumRow,
+    SweptRequirementRow,
+    SystematicSizeRow,
+)
+from bayescal.experiments.shared.function_errors import choose_size_unit
+from bayescal.experiments.shared.readings.knowledge import name_data, name_place, plain
+from bayescal.experiments.shared.unmodelled_bias import tabulate_hidden
+from bayescal.files.rows import TableRow
 from bayescal.identifiability.directions import Direction
 from bayescal.identifiability.hidden import add, choose_unseen, hide
 from bayescal.identifiability.information import nats_from_contraction
-from bayescal.identifiability.levers import find_levers
 from bayescal.identifiability.requirements import Requirement
 from bayescal.identifiability.ridges import Ridge
-from bayescal.limits import COVERAGE, INFORMED
-from bayescal.numerics.units import MICROMETRE
+from bayescal.identifiability.scale_ambiguity import find_levers
+from bayescal.limits import COVERAGE, IDENTIFIABLE_CONTRACTION
 from bayescal.report.numbers import join_words
 
 NAMED_SHARE = 0.02  # of a direction, for a parameter to be named in a sentence
@@ -29,7 +47,7 @@ NAMED = 4
 TIMES = (0.0, 1.0, 3.0)  # the expected size of systematic errors
 
 
-def summarise(audit: Audit) -> dict[str, Any]:
+def summarise(audit: AuditOutcome) -> dict[str, Any]:
     """Return what ``summary.json`` says of one variant; lengths and angles in the config's units, which it states."""
     inputs, analysis = audit.inputs, audit.analysis
     config, structure, names = inputs.config, analysis.structure, inputs.names
@@ -40,7 +58,7 @@ def summarise(audit: Audit) -> dict[str, Any]:
         **_summarise_plan(inputs),
         "seed": config.seed,
         "units": {"length": inputs.units.length, "angle": inputs.units.angle},
-        "required_of": config.required_of,
+        "requirement_applies_to": config.requirement_applies_to,
         **_describe_levers(audit),
         "n_parameters": len(names),
         "structural_rank": structure.rank,
@@ -51,30 +69,32 @@ def summarise(audit: Audit) -> dict[str, Any]:
         "n_practical": kinds.count("practical"),
         "n_informed": kinds.count("informed"),
         "total_nats": analysis.information.nats,
-        "parameters": summarise_parameters(audit),
+        "parameters": {row.parameter: summarise_row(row, "variant", "parameter") for row in list_parameters(audit)},
         "directions": [_summarise_direction(audit, one, ridges.get(id(one))) for one in analysis.directions],
-        "recommended_free": list(names),
+        "free": list(names),
         "reduced_set": _summarise_reduced(audit),
-        "could_also_be_freed": [names[k] for k in analysis.selection.extra],
-        "selection": [vars(step) for step in analysis.selection.steps],
-        "requirements": summarise_requirements(audit),
-        "what_if": [_summarise_outcome(audit, outcome) for outcome in audit.what_ifs],
+        "also_identifiable": [names[k] for k in analysis.selection.extra],
+        "selection": [asdict(row) for row in list_steps(audit)],
+        "requirements": {
+            row.requirement: summarise_row(row, "variant", "requirement") for row in list_requirements(audit)
+        },
+        "scenarios": [_summarise_outcome(audit, outcome) for outcome in audit.scenarios],
     }
 
 
-def _summarise_plan(inputs: Planned) -> dict[str, Any]:
-    """Return machine and plan; how large systematic errors are, and what is stated of unseen ones, in µm."""
+def _summarise_plan(inputs: DesignVariant) -> dict[str, Any]:
+    """Return machine and plan; how large systematic errors are, and what is stated of unseen ones, and their unit."""
     config, section, model = inputs.config, inputs.section, inputs.variant.model
     said = {"workspace": "random ones of the workspace", "file": config.poses.file or config.poses.configurations or ""}
-    errors = {"systematic_um": inputs.sizes, "at_least_um": inputs.floors if inputs.sizes else {}}
+    errors = {"systematic": inputs.sizes, "floor": inputs.floors if inputs.sizes else {}}
+    factor, unit = choose_size_unit(model)
     plan = {
         "n_poses": inputs.n_poses,
         "sensors": list(dict.fromkeys(one.kind for one in model.channels)),
-        "poses": said.get(config.poses.plan, f"{config.poses.plan} actuator positions"),
-        **{key: {name: size / MICROMETRE for name, size in one.items()} for key, one in errors.items() if one},
+        "poses": said.get(config.poses.sampling, f"{config.poses.sampling} actuator positions"),
+        **{key: {name: factor * size for name, size in one.items()} for key, one in errors.items() if one},
+        "model_error_unit": unit,
     }
-    if not has_lengths(model):
-        plan["model_error_in"] = "noise"
     if config.data is not None:
         plan["poses"] = "measured"
     if config.workspace:
@@ -86,7 +106,7 @@ def _summarise_plan(inputs: Planned) -> dict[str, Any]:
     return {"machine": machine, "member": model.member, **seen, "plan": plan}
 
 
-def _describe_levers(audit: Audit) -> dict[str, Any]:
+def _describe_levers(audit: AuditOutcome) -> dict[str, Any]:
     """Return which channels read far from where a ridge's tolerance turns them, and the longest lever."""
     inputs = audit.inputs
     levers = list(find_levers(inputs.posterior, inputs.expected, [one.direction for one in audit.ridges]))
@@ -100,39 +120,52 @@ def _describe_levers(audit: Audit) -> dict[str, Any]:
 # --- parameters --------------------------------------------------------------------------------------------------
 
 
-def summarise_parameters(audit: Audit) -> dict[str, Any]:
-    """Return what is known of each parameter before and after the calibration."""
-    inputs, analysis = audit.inputs, audit.analysis
-    covariance, nominal = analysis.information.covariance, inputs.parameters.nominal
-    reduced = analysis.reduced
-    places = {} if reduced is None else {int(k): place for place, k in enumerate(reduced.free)}
-    nats = nats_from_contraction(analysis.information.contraction)
-    result = {}
+def list_parameters(audit: AuditOutcome) -> list[AuditParameterRow]:
+    """Return the parameters of a variant, prior and predicted posterior."""
+    inputs, information, reduced = audit.inputs, audit.analysis.information, audit.analysis.reduced
+    nominal, nats = inputs.parameters.nominal, nats_from_contraction(information.contraction)
+    fitted = np.full((3, len(inputs.names)), np.nan)  # claimed sd, error, coverage of the reduced set
+    if reduced is not None:
+        fitted[:, reduced.free] = reduced.claimed, reduced.error, reduced.coverage
+    rows = []
     for k, name in enumerate(inputs.names):
         factor = inputs.units.factor(inputs.parameters.units[k])
-        prior, contraction = inputs.sd[k] / factor, float(analysis.information.contraction[k])
-        result[name] = {
-            "unit": inputs.units.name(inputs.parameters.units[k]),
-            "nominal": float(nominal[k] / factor),
-            "prior_sd": float(prior),
-            "posterior_sd": float(prior * np.sqrt(covariance[k, k])),
-            "contraction": contraction,
-            "nats": float(nats[k]),
-            "verdict": analysis.verdicts[k],
-            "in_reduced_set": k in analysis.selection.free,
-            **dict.fromkeys(("reduced_claimed_sd", "reduced_true_error", "reduced_coverage_90")),
-            "why": explain(audit, k),
-        }
-        if reduced is not None and (place := places.get(k)) is not None:
-            result[name] |= {
-                "reduced_claimed_sd": float(reduced.claimed[place]) * float(prior),
-                "reduced_true_error": float(reduced.error[place]) * float(prior),
-                "reduced_coverage_90": float(reduced.coverage[place]),
-            }
-    return result
+        prior, (claimed, error, coverage) = inputs.sd[k] / factor, fitted[:, k]
+        rows.append(
+            AuditParameterRow(
+                variant=inputs.section.name,
+                parameter=name,
+                unit=inputs.units.name(inputs.parameters.units[k]),
+                nominal=float(nominal[k] / factor),
+                prior_sd=float(prior),
+                posterior_sd=float(prior * np.sqrt(information.covariance[k, k])),
+                contraction=float(information.contraction[k]),
+                nats=float(nats[k]),
+                verdict=audit.analysis.verdicts[k],
+                reduced_set=k in audit.analysis.selection.free,
+                reduced_claimed_sd=float(claimed * prior),
+                reduced_true_error=float(error * prior),
+                reduced_coverage_90=float(coverage),
+                reason=explain(audit, k),
+            )
+        )
+    return rows
 
 
-def _summarise_reduced(audit: Audit) -> dict[str, Any] | None:
+def list_steps(audit: AuditOutcome) -> list[FreeingStepRow]:
+    """Return the steps of the search for the reduced set."""
+    return [
+        FreeingStepRow(symbol=one.symbol, nats=one.nats, contraction=one.contraction, is_included=one.taken)
+        for one in audit.analysis.selection.steps
+    ]
+
+
+def summarise_row(row: TableRow, *names: str) -> dict[str, Any]:
+    """Return a row as ``summary.json`` has it, without the columns whose values are its keys there."""
+    return {name: value for name, value in plain(asdict(row)).items() if name not in names}
+
+
+def _summarise_reduced(audit: AuditOutcome) -> dict[str, Any] | None:
     """Return the reduced set as a whole; None where it is empty."""
     names, free, reduced = audit.inputs.names, audit.analysis.selection.free, audit.analysis.reduced
     if not free:
@@ -144,7 +177,7 @@ def _summarise_reduced(audit: Audit) -> dict[str, Any] | None:
     }
 
 
-def explain(audit: Audit, k: int) -> str:
+def explain(audit: AuditOutcome, k: int) -> str:
     """Return in words why a parameter has its verdict."""
     analysis, names = audit.analysis, audit.inputs.names
     left = float(np.sqrt(analysis.information.covariance[k, k]))
@@ -169,7 +202,7 @@ def explain(audit: Audit, k: int) -> str:
 # --- directions --------------------------------------------------------------------------------------------------
 
 
-def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
+def _summarise_direction(audit: AuditOutcome, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
     inputs, units = audit.inputs, audit.inputs.units
     used = [int(i) for i in np.argsort(-np.abs(direction.vector)) if direction.vector[i]]
     factors = {i: units.factor(inputs.parameters.units[i]) for i in used}
@@ -195,17 +228,17 @@ def _summarise_direction(audit: Audit, direction: Direction, ridge: Ridge | None
         "changes_workspace_position": ridge.workspace_position / length,
         "changes_workspace_rotation": ridge.workspace_rotation / angle,
         "effect_on_pose": harm,
-        "share_of_limit": share if np.isfinite(share) else None,
+        "sd_over_limit": share if np.isfinite(share) else None,
         "limit": limit,
-        "helped_most_by": _find_help(audit, direction),
+        "best_scenario": _find_help(audit, direction),
     }
 
 
-def _find_help(audit: Audit, direction: Direction) -> dict[str, Any] | None:
+def _find_help(audit: AuditOutcome, direction: Direction) -> dict[str, Any] | None:
     """Return the what-if within the actuators' reach under which a direction contracts most, if one helps."""
     if direction.kind != "practical":
         return None
-    within = [outcome for outcome in audit.what_ifs if outcome.information is not None and not outcome.beyond_range]
+    within = [outcome for outcome in audit.scenarios if outcome.information is not None and not outcome.beyond_range]
     along = [float(outcome.contraction_along(direction.vector[:, None])[0]) for outcome in within]
     if not along or max(along) <= direction.contraction:
         return None
@@ -220,44 +253,56 @@ def _percent(share: float) -> str:
 # --- requirements and what would help ----------------------------------------------------------------------------
 
 
-def unit_of(inputs: Planned, requirement: Requirement) -> str:
+def unit_of(inputs: DesignVariant, requirement: Requirement) -> str:
     """Return the inner unit of what is required."""
     return inputs.variant.model.tool_channels[requirement.where][0].unit
 
 
-def summarise_requirements(audit: Audit) -> dict[str, Any]:
-    """Return how each requirement stands."""
-    inputs, units, result = audit.inputs, audit.inputs.units, {}
+def list_requirements(audit: AuditOutcome) -> list[AuditRequirementRow]:
+    """Return how each requirement stands in a variant."""
+    inputs, units, rows = audit.inputs, audit.inputs.units, []
     for outlook in audit.outlooks:
         unit = unit_of(inputs, outlook.requirement)
         factor = units.factor(unit)
-        lengths = ("prior_sd", "predicted_sd", "geometry_sd", "reduced_sd", "rms_sd", "worst_sd")
-        chances = ("prior_probability", "probability", "reduced_probability", "everywhere")
-        result[outlook.requirement.name] = {
-            "unit": units.name(unit),
-            "limit": outlook.requirement.limit / factor,
-            **{name: _plain(getattr(outlook, name) / factor) for name in lengths},
-            **{name: getattr(outlook, name) for name in chances},
-            "worst_at": name_place(inputs.variant, inputs.around.pose[outlook.worst], inputs.config.units),
-        }
-    return result
+        rows.append(
+            AuditRequirementRow(
+                variant=inputs.section.name,
+                requirement=outlook.requirement.name,
+                unit=units.name(unit),
+                limit=outlook.requirement.limit / factor,
+                prior_sd=outlook.prior_sd / factor,
+                predicted_sd=outlook.predicted_sd / factor,
+                parameter_sd=outlook.geometry_sd / factor,
+                reduced_sd=outlook.reduced_sd / factor,
+                rms_sd=outlook.rms_sd / factor,
+                max_sd=outlook.worst_sd / factor,
+                prior_probability=outlook.prior_probability,
+                probability=outlook.probability,
+                reduced_probability=outlook.reduced_probability,
+                p_all_poses=outlook.everywhere,
+                max_sd_pose=name_place(inputs.variant, inputs.around.pose[outlook.worst], inputs.config.units),
+            )
+        )
+    return rows
 
 
 def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
+def _summarise_outcome(audit: AuditOutcome, outcome: ChangeEffect) -> dict[str, Any]:
     weak, names = [one.direction for one in audit.ridges if one.direction.kind == "practical"], audit.inputs.names
     along = outcome.contraction_along(np.reshape([one.vector for one in weak], (-1, len(names))).T.copy())
     information = outcome.information
     return {
         "name": outcome.name,
         "n_poses": outcome.n_poses,
-        "possible": information is not None,
-        "beyond_actuator_range": outcome.beyond_range,
+        "is_feasible": information is not None,
+        "is_beyond_range": outcome.beyond_range,
         "total_nats": None if information is None else information.nats,
-        "n_identifiable": None if information is None else int(np.sum(information.contraction >= INFORMED)),
+        "n_identifiable": None
+        if information is None
+        else int(np.sum(information.contraction >= IDENTIFIABLE_CONTRACTION)),
         "ridges": {
             names[one.pivot]: _plain(value) for one, value in zip(weak, along, strict=True) if one.pivot is not None
         },
@@ -272,147 +317,202 @@ def _summarise_outcome(audit: Audit, outcome: ChangeEffect) -> dict[str, Any]:
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def tabulate(summary: dict[str, Any], audit: Audit) -> dict[str, pd.DataFrame]:
+def tabulate(summary: dict[str, Any], audit: AuditOutcome) -> dict[str, pd.DataFrame]:
     """Return the tables of an audit by name."""
+    scenarios = [
+        AuditScenarioRow(scenario=one["name"], ridge=name, contraction=np.nan if value is None else value)
+        for one in summary["scenarios"]
+        for name, value in one["ridges"].items()
+    ]
+    directions = [
+        DirectionRow(
+            direction=number,
+            kind=one["kind"],
+            contraction=one["contraction"],
+            nats=one["nats"],
+            parameter=name,
+            unit=summary["parameters"][name]["unit"],
+            loading=loading,
+            share=one["shares"][name],
+        )
+        for number, one in enumerate(summary["directions"], start=1)
+        for name, loading in one["loadings"].items()
+    ]
     tables = {
-        "directions": _tabulate_directions(summary),
-        "selection": pd.DataFrame(summary["selection"]),
+        "directions": DirectionRow.collect(directions),
+        "selection": FreeingStepRow.collect(list_steps(audit)),
         "spectrum": _tabulate_spectrum(audit),
-        "what_if": pd.DataFrame(
-            [(one["name"], *ridge) for one in summary["what_if"] for ridge in one["ridges"].items()],
-            columns=["what_if", "ridge", "contraction"],
-        ),
-        "sweeps": _tabulate_sweeps(audit),
+        "scenarios": AuditScenarioRow.collect(scenarios),
+        "sweeps": PlanSweepRow.collect(_list_sweeps(audit)),
     }
     if summary["requirements"]:
-        tables["sweep_requirements"] = _tabulate_sweep_requirements(audit)
+        tables["sweep_requirements"] = SweptRequirementRow.collect(_list_swept_requirements(audit))
     return tables
 
 
-def tabulate_variants(audits: Mapping[str, Audit]) -> dict[str, pd.DataFrame]:
+def tabulate_help(summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+    """Return combinations that are not determined, and changed plans, from what a summary says of them."""
+    combinations = [
+        AuditCombinationRow(
+            number=number,
+            kind=one["kind"],
+            contraction=float(one["contraction"]),
+            pivot=one["pivot"],
+            sentence=one["sentence"],
+            effect=one["effect_on_pose"],
+            sd_over_limit=_fill(one.get("sd_over_limit")),
+            limit=one.get("limit") or "",
+            position=float(one["changes_workspace_position"]),
+            rotation=float(one["changes_workspace_rotation"]),
+            posterior_contraction=_fill(one.get("posterior_contraction")),
+            **{f"plot_{axis}": str((one.get("plot") or {}).get(axis, "")) for axis in AXES},
+        )
+        for number, one in enumerate(summary["directions"], start=1)
+        if one["kind"] != "informed"
+    ]
+    alternatives = [
+        AlternativeRow(
+            alternative=one["name"],
+            n_poses=one["n_poses"],
+            is_feasible=one["is_feasible"],
+            is_beyond_range=one["is_beyond_range"],
+            nats=_fill(one.get("total_nats")),
+            n_identifiable=int(one.get("n_identifiable") or 0),
+            others={f"{PREDICTED_SD}{name}": _fill(value) for name, value in one["requirements"].items()},
+        )
+        for one in summary["scenarios"]
+    ]
+    return {
+        AuditCombinationRow.table: AuditCombinationRow.collect(combinations),
+        AlternativeRow.table: AlternativeRow.collect(alternatives),
+    }
+
+
+def _fill(value: float | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def tabulate_variants(audits: Mapping[str, AuditOutcome]) -> dict[str, pd.DataFrame]:
     """Return all variants, their parameters and requirements."""
-    parameters, requirements = [], []
-    for name, audit in audits.items():
-        parameters += [{"variant": name, "parameter": k, **v} for k, v in summarise_parameters(audit).items()]
-        requirements += [{"variant": name, "requirement": k, **v} for k, v in summarise_requirements(audit).items()]
     tables = {
-        "variants": pd.DataFrame([{"variant": name, **describe_variant(audit)} for name, audit in audits.items()]),
-        "parameters": pd.DataFrame(parameters),
-        "requirements": pd.DataFrame(requirements),
+        "variants": AuditVariantRow.collect(map(describe_variant, audits.values())),
+        "parameters": AuditParameterRow.collect(row for one in audits.values() for row in list_parameters(one)),
+        "requirements": AuditRequirementRow.collect(row for one in audits.values() for row in list_requirements(one)),
     }
     return {name: table for name, table in tables.items() if not table.empty}
 
 
-def describe_variant(audit: Audit) -> dict[str, Any]:
+def describe_variant(audit: AuditOutcome) -> AuditVariantRow:
     """Return a variant in a row: what it takes in, what it determines, how likely it keeps what is required."""
     inputs, analysis, model = audit.inputs, audit.analysis, audit.inputs.variant.model
-    shares = [one.predicted_sd / one.requirement.limit for one in audit.outlooks]
-    return {
-        "title": inputs.section.label,
-        "data": name_data(inputs.variant),
-        "n_equations": inputs.n_poses * (len(model.channels) - len(model.coordinates)),
-        "n_parameters": len(inputs.names),
-        "n_poses": inputs.n_poses,
-        "n_identifiable": analysis.verdicts.count("identifiable"),
-        "left": _plain(audit.measure_left()),
-        "share_of_limit": _plain(max(shares)) if shares else None,
-        "probability": _plain(audit.together),
-    }
-
-
-def _tabulate_directions(summary: dict[str, Any]) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {
-                "direction": number,
-                **{key: one[key] for key in ("kind", "contraction", "nats")},
-                "parameter": name,
-                "unit": summary["parameters"][name]["unit"],
-                "loading": loading,
-                "share": one["shares"][name],
-            }
-            for number, one in enumerate(summary["directions"], start=1)
-            for name, loading in one["loadings"].items()
-        ]
+    return AuditVariantRow(
+        variant=inputs.section.name,
+        title=inputs.section.label,
+        data_set=name_data(inputs.variant),
+        n_equations=inputs.n_poses * (len(model.channels) - len(model.coordinates)),
+        n_parameters=len(inputs.names),
+        n_poses=inputs.n_poses,
+        n_identifiable=analysis.verdicts.count("identifiable"),
+        error_ratio=audit.measure_left(),
+        sd_over_limit=max((one.predicted_sd / one.requirement.limit for one in audit.outlooks), default=np.nan),
+        probability=audit.together,
     )
 
 
-def _tabulate_spectrum(audit: Audit) -> pd.DataFrame:
+def _tabulate_spectrum(audit: AuditOutcome) -> pd.DataFrame:
     """Return the singular values over the wide workspace, and what rounding does to them."""
     structure = audit.analysis.structure
     values = structure.singular_values
-    planned = np.sqrt(audit.analysis.information.spectrum()[0][::-1])
-    return pd.DataFrame(
-        {
-            "number": np.arange(1, len(values) + 1),
-            "wide_workspace": values,
-            "planned": planned,
-            "rounding": structure.rounding,
-            "counts": np.arange(len(values)) < structure.rank,
-        }
+    return SpectrumRow.tabulate(
+        number=np.arange(1, len(values) + 1),
+        wide_workspace=values,
+        planned=np.sqrt(audit.analysis.information.spectrum()[0][::-1]),
+        noise_floor=structure.rounding,
+        is_in_rank=np.arange(len(values)) < structure.rank,
     )
 
 
-def _tabulate_sweeps(audit: Audit) -> pd.DataFrame:
-    rows = []
+def _list_sweeps(audit: AuditOutcome) -> Iterator[PlanSweepRow]:
     for sweep, value, outcome in audit.sweeps:
         if outcome.information is None:
             continue
         found = pd.Series(outcome.information.contraction).groupby(np.array(audit.inputs.symbols), sort=False)
         for symbol, (least, most) in found.agg(["min", "max"]).iterrows():
-            point = {"sweep": sweep, "value": value, "beyond_actuator_range": outcome.beyond_range, "symbol": symbol}
-            rows.append({**point, "contraction_least": least, "contraction_most": most})
-    return pd.DataFrame(rows)
+            yield PlanSweepRow(
+                sweep=sweep,
+                value=value,
+                is_beyond_range=outcome.beyond_range,
+                symbol=str(symbol),
+                contraction_min=least,
+                contraction_max=most,
+            )
 
 
-def _tabulate_sweep_requirements(audit: Audit) -> pd.DataFrame:
-    rows = []
+def _list_swept_requirements(audit: AuditOutcome) -> Iterator[SweptRequirementRow]:
     units, required = audit.inputs.units, {one.name: one for one in audit.inputs.requirements}
     for sweep, value, outcome in audit.sweeps:
         for name, sd in outcome.required_sd.items():
             unit = unit_of(audit.inputs, required[name])
-            said = {"requirement": name, "unit": units.name(unit), "predicted_sd": sd / units.factor(unit)}
-            limit = required[name].limit / units.factor(unit)
-            rows.append({"sweep": sweep, "value": value, **said, "limit": limit})
-    return pd.DataFrame(rows)
+            yield SweptRequirementRow(
+                sweep=sweep,
+                value=value,
+                requirement=name,
+                unit=units.name(unit),
+                predicted_sd=sd / units.factor(unit),
+                limit=required[name].limit / units.factor(unit),
+            )
 
 
 # --- systematic errors -----------------------------------------------------------------------------------------------
 
 
-def tabulate_errors(audit: Audit) -> dict[str, pd.DataFrame]:
+def tabulate_errors(audit: AuditOutcome) -> dict[str, pd.DataFrame]:
     """Return tables of systematic errors by name, none where an audit has none.
 
     ``error_sizes`` has standard deviations of parameters, rms by symbol, and how requirements stand, in the config's
-    units, with errors so many ``times`` as large as they are expected; ``model_error_hidden`` what those that leave no
-    trace hide of each parameter.
+    units, with multiples of the expected size of errors; ``model_error_bias`` what those that leave no trace hide of
+    each parameter.
     """
     inputs = audit.inputs
     if not inputs.sizes:
         return {}
-    rows, units, measured = list[dict[str, object]](), inputs.units, inputs.config.data is not None
+    sizes = SystematicSizeRow.collect(_list_sizes(audit))
+    return {"error_sizes": sizes, "model_error_bias": _tabulate_hidden(audit)}
+
+
+def _list_sizes(audit: AuditOutcome) -> Iterator[SystematicSizeRow]:
+    """Yield what is expected of parameters and requirements with systematic errors of several sizes."""
+    inputs, units, measured = audit.inputs, audit.inputs.units, audit.inputs.config.data is not None
+    factor, size_unit = choose_size_unit(inputs.variant.model)
     true = inputs.sizes if measured else inputs.config.model_error.sizes(list(inputs.sizes))
     for times in TIMES:
         sizes = {name: times * size for name, size in true.items()}
         changed = inputs if times == 1.0 else inputs.resize(sizes) if measured else inputs.settle(sizes)
         one = audit if times == 1.0 else judge(changed)
-        total = float(np.linalg.norm(list(sizes.values()))) / MICROMETRE
-        at = {"times": times, "size_um": total}
+        row = partial(
+            SystematicSizeRow,
+            size_factor=times,
+            size=factor * float(np.linalg.norm(list(sizes.values()))),
+            size_unit=size_unit,
+        )
         variance = inputs.sd**2 * np.diagonal(one.analysis.information.covariance)
         for symbol in dict.fromkeys(inputs.symbols):
             part = np.array([name == symbol for name in inputs.symbols])
             unit = inputs.parameters.units[int(part.argmax())]
             sd = float(np.sqrt(variance[part].mean())) / units.factor(unit)
-            rows.append({**at, "what": "parameter", "name": symbol, "unit": units.name(unit), "sd": sd})
+            yield row(quantity="parameter", name=symbol, unit=units.name(unit), sd=sd, probability=np.nan)
         for outlook in one.outlooks:
             unit = unit_of(inputs, outlook.requirement)
-            own = {"name": outlook.requirement.name, "unit": units.name(unit)}
-            sd = outlook.predicted_sd / units.factor(unit)
-            rows.append({**at, "what": "requirement", **own, "sd": sd, "probability": outlook.probability})
-    return {"error_sizes": pd.DataFrame(rows), "model_error_hidden": _tabulate_hidden(audit)}
+            yield row(
+                quantity="requirement",
+                name=outlook.requirement.name,
+                unit=units.name(unit),
+                sd=outlook.predicted_sd / units.factor(unit),
+                probability=outlook.probability,
+            )
 
 
-def _tabulate_hidden(audit: Audit) -> pd.DataFrame:
+def _tabulate_hidden(audit: AuditOutcome) -> pd.DataFrame:
     """Return what errors hide that are as large as stated, or as is usual, and leave no trace."""
     inputs = audit.inputs
     unseen = choose_unseen(inputs.floors, list(inputs.sizes))

@@ -6,8 +6,8 @@ Keys that carry a unit are in it. Tolerances and requirements have no unit in th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from collections.abc import Sequence
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -26,7 +26,7 @@ from bayescal.config.sections import (
 )
 from bayescal.density.priors import INDEPENDENT
 from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
-from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,
     AnyWorkspaceConfig,
@@ -63,14 +63,14 @@ type SensorConfig = Annotated[
 ]
 
 
-class PosesConfig(Section):
+class PlannedPosesConfig(Section):
     """Where it is planned to measure: at random poses of the workspace, random actuator positions, or as a file says.
 
     A file of poses has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know
     of each; a file of configurations has displacements of the actuators.
     """
 
-    plan: Literal["workspace", "uniform", "extremes", "file"] = "workspace"
+    sampling: Literal["workspace", "uniform", "extremes", "file"] = "workspace"
     """Random poses of the `workspace`; random actuator positions, `uniform` over their range or at its `extremes` and
     its middle; or those of a `file`.
     """
@@ -89,27 +89,27 @@ class PosesConfig(Section):
     @classmethod
     def _take_file(cls, value: Any) -> Any:
         return (
-            {"plan": "file", **value} if isinstance(value, dict) and {"file", "configurations"} & set(value) else value
+            {"sampling": "file", **value}
+            if isinstance(value, dict) and {"file", "configurations"} & set(value)
+            else value
         )
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
-        if self.plan == "file" and (files != 1 or self.count is not None):
+        if self.sampling == "file" and (files != 1 or self.count is not None):
             raise ValueError("found both or none of count, file and configurations, expected one of them")
-        if self.plan != "file" and (files or self.count is None):
-            raise ValueError(f"expected count, and no file, of plan {self.plan!r}")
+        if self.sampling != "file" and (files or self.count is None):
+            raise ValueError(f"expected count, and no file, of sampling {self.sampling!r}")
         if self.unit_mm != 1.0 and self.configurations is None:
             raise ValueError("unit_mm: found it without configurations, expected none")
-        if self.range_mm is not None and self.plan not in ("uniform", "extremes"):
-            raise ValueError("range_mm: found it, expected it of plans 'uniform' and 'extremes' alone")
+        if self.range_mm is not None and self.sampling not in ("uniform", "extremes"):
+            raise ValueError("range_mm: found it, expected it of sampling 'uniform' and 'extremes' alone")
         return self
 
 
-class VariantConfig(FreeConfig):
+class AuditVariantConfig(FreeConfig):
     """A set of sensors and what is free with it; of a mechanism on legs its kinematic model, too."""
-
-    gone: ClassVar[Mapping[str, str]] = {"measured_by": "sensors"}
 
     name: Name = "all"
     """What tables call the variant."""
@@ -130,7 +130,7 @@ class VariantConfig(FreeConfig):
         return self.title or self.name
 
 
-class SelectionConfig(Section):
+class AuditSelectionConfig(Section):
     """How many poses to choose out of how many random ones of the workspace."""
 
     count: Annotated[int, Field(ge=1, le=1000)]
@@ -151,26 +151,27 @@ class SensorChoiceConfig(FreeConfig):
     """Sensors to choose from, for the poses planned.
 
     A name among ``candidates`` is one sensor, a kind each of its sensors by itself, a list an instrument whose readings
-    are there together. Those of ``always`` are in every set, ``largest`` is how many candidates a set has at most. All
-    sets are judged where these are no more than ``exhaustive``; else sensors are added one by one and exchanged.
+    are there together. Those of ``required_sensors`` are in every set, ``max_sensors`` is how many candidates a set has
+    at most. All sets are judged where these are no more than ``max_exhaustive_sets``; else sensors are added one by one
+    and exchanged.
     """
 
     candidates: Annotated[
         list[str | Annotated[Names, Field(min_length=1)]], Field(min_length=1), AfterValidator(check_once)
     ]
     """Sensors to choose from; a list is one instrument of several readings."""
-    always: Names = Field(default=[])
+    required_sensors: Names = Field(default=[])
     """Sensors that are in every set."""
-    largest: Annotated[int, Field(ge=1, le=1000)] | None = None
+    max_sensors: Annotated[int, Field(ge=1, le=1000)] | None = None
     """How many candidates a set has at most."""
-    exhaustive: Annotated[int, Field(ge=0, le=100_000)] = 4096
+    max_exhaustive_sets: Annotated[int, Field(ge=0, le=100_000)] = 4096
     """Up to how many sets all are judged."""
-    prices: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
-    """By candidate or kind, an instrument's readings joined by ` + `: its price [any currency]."""
+    costs: dict[str, NotNegative] = Field(default={}, exclude_if=lambda value: not value)
+    """By candidate or kind, an instrument's readings joined by ` + `: its cost [any currency]."""
 
 
 class AuditDataConfig(Section):
-    """A study whose measured poses are audited in place of a plan, with its priors and its posterior."""
+    """A study whose measured poses are audited instead of a plan, with its priors and its posterior."""
 
     study: InputFile
     """TOML file of a study, whose measured poses are audited."""
@@ -190,7 +191,7 @@ class ExpectedErrorConfig(ModelErrorConfig):
     expected_um: NotNegative | dict[TermName, NotNegative] = Field(
         default=EXPECTED_UM, exclude_if=lambda value: value == EXPECTED_UM
     )
-    """Root mean square, over the planned poses, that all terms but `independent` have together, or that of each term by
+    """Root mean square, over the planned poses, that all terms but `random` have together, or that of each term by
     name. The page says what none and three times as much of them would do.
     """
 
@@ -219,10 +220,8 @@ class ExpectedErrorConfig(ModelErrorConfig):
 # --- what would help ------------------------------------------------------------------------------------------------
 
 
-class WhatIfConfig(Section):
+class ScenarioConfig(Section):
     """A change of the plan; what is not named stays."""
-
-    gone: ClassVar[Mapping[str, str]] = {"structured_error": "model_error"}
 
     name: str
     """What the page calls the change."""
@@ -236,13 +235,13 @@ class WhatIfConfig(Section):
     """Factor on the noise of the actuators, and of all sensors that the machine keeps [1]."""
     sensors: Annotated[Names, Field(min_length=1)] | None = None
     """Other sensors."""
-    poses: PosesConfig | None = None
+    poses: PlannedPosesConfig | None = None
     """Another plan."""
     model_error: bool = Field(default=True, exclude_if=lambda value: value)
     """Whether legs or channels err by functions of the pose as they do in the plan."""
 
 
-class SweepConfig(Section):
+class AuditSweepConfig(Section):
     """Factors on the sensors' noise and on the actuators' range, and numbers of poses, one swept at a time."""
 
     noise: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
@@ -258,11 +257,11 @@ OF_PLANS = (
     "instruments",
     "sensors",
     "parameters",
-    "given",
+    "conditions",
     "poses",
     "deformation",
     "selection",
-    "sensor_choice",
+    "sensor_selection",
 )
 """What is said of a machine that is to be measured alone."""
 ACTUATORS = "rho"
@@ -276,14 +275,6 @@ class AuditConfig(ExperimentConfig):
     It takes readings of the machine's channels and of instruments beside it, with the noise of [sensors]. ``noise``
     with ``actuator_um``, as studies have it, is that of a mechanism's actuators, ``rho`` in [sensors].
     """
-
-    gone: ClassVar[Mapping[str, str]] = {
-        "frames": "[parameters] NAME_frame, NAME_frame_r, NAME_target and NAME_target_r of an instrument NAME",
-        "mechanism": "machine",
-        "measured_by": "[[variants]] with sensors",
-        "variant": "[[variants]]",
-        "structured_error": "[model_error] with expected_um",
-    }
 
     kind: Literal["audit"]
     """`"audit"`."""
@@ -306,44 +297,42 @@ class AuditConfig(ExperimentConfig):
     deformation: DeformationConfig = DeformationConfig()
     """Nominal deformation of a mechanism's platform."""
     data: AuditDataConfig | None = None
-    """A study of measured poses in place of a plan."""
+    """A study of measured poses instead of a plan."""
     posterior: DrawsConfig = DrawsConfig()
     """Effort of draws of the study's posterior, beside [data]."""
     workspace: AnyWorkspaceConfig = Field(default={})
     """Where accuracy counts: by coordinate its smallest and largest value, the machine's own where nothing is said; or
     half widths about the home pose of a machine whose coordinates are a pose's [unit of the coordinate].
     """
-    given: dict[str, Range] = Field(default={}, exclude_if=lambda value: not value)
+    conditions: dict[str, Range] = Field(default={}, exclude_if=lambda value: not value)
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
-    poses: PosesConfig = PosesConfig(count=40)
+    poses: PlannedPosesConfig = PlannedPosesConfig(count=40)
     """Where it is planned to measure."""
     requirements: dict[str, Positive] = Field(default={})
     """By coordinate of the tool: largest error [units]."""
-    required_of: Literal["every_pose", "rms"] = "every_pose"
-    """Whether errors keep these limits at every pose of the workspace (`every_pose`), or their `rms` over it."""
-    aligned: bool = Field(default=False, exclude_if=lambda value: not value)
-    """The same as `accuracy_frame = "aligned"`, as designs say it whose results are kept."""
+    requirement_applies_to: Literal["all_poses", "rms"] = "all_poses"
+    """Whether errors keep these limits at every pose of the workspace (`all_poses`), or their `rms` over it."""
     accuracy_frame: AccuracyFrame = Field(default="aligned", exclude_if=lambda value: value == "aligned")
     """Whether accuracy of variants, requirements and sets is what remains after a best fit of the frames of base and
     tool (`aligned`), or is relative to marks on the `base`.
     """
-    variants: Annotated[list[VariantConfig], Field(min_length=1)] = Field(default=[VariantConfig()])
+    variants: Annotated[list[AuditVariantConfig], Field(min_length=1)] = Field(default=[AuditVariantConfig()])
     """Sets of sensors to judge."""
-    what_if: list[WhatIfConfig] = Field(default=[])
+    scenarios: list[ScenarioConfig] = Field(default=[])
     """Changes of the plan whose effect is shown."""
-    sweep: SweepConfig = SweepConfig()
+    sweep: AuditSweepConfig = AuditSweepConfig()
     """Factors and numbers of poses that the page's curves go over."""
     profiles: Names = Field(default=[])
     """Parameters whose profiles are drawn; a few that matter where nothing is said."""
-    simulated_calibrations: Annotated[int, Field(ge=0, le=10_000)] = 0
+    n_simulated_calibrations: Annotated[int, Field(ge=0, le=10_000)] = 0
     """How many calibrations are simulated to see whether the predicted deviations come true."""
-    expected_over_draws: Annotated[int, Field(ge=0, le=10_000)] = 0
+    n_prior_draws: Annotated[int, Field(ge=0, le=10_000)] = 0
     """Over how many machines within the tolerances predictions are averaged."""
-    next: NextConfig = NextConfig()
+    next: NextReadingsConfig = NextReadingsConfig()
     """What to measure besides."""
-    selection: SelectionConfig | None = None
+    selection: AuditSelectionConfig | None = None
     """Poses to choose."""
-    sensor_choice: SensorChoiceConfig | None = None
+    sensor_selection: SensorChoiceConfig | None = None
     """Sensors to choose."""
 
     @model_validator(mode="before")
@@ -368,16 +357,14 @@ class AuditConfig(ExperimentConfig):
             raise ValueError(f"noise: found {', '.join(sorted(strange))}, expected [model_error] with expected_um")
         sensors = {ACTUATORS: {"noise_um": noise["actuator_um"]}, **content.get("sensors", {})}
         changed = {key: value for key, value in content.items() if key != "noise"} | {"sensors": sensors}
-        for key in ("variants", "what_if"):
+        for key in ("variants", "scenarios"):
             if isinstance(content.get(key), list):
                 changed[key] = [_add_actuators(one) for one in content[key]]
         return changed
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
-        if self.aligned and self.accuracy_frame != "aligned":
-            raise ValueError("accuracy_frame: found 'base' beside aligned = true, expected one of them")
-        check_once([one.name for one in self.what_if])
+        check_once([one.name for one in self.scenarios])
         names = [one.name for one in self.variants]
         for name in names:
             if names.count(name) > 1:
@@ -405,11 +392,11 @@ class AuditConfig(ExperimentConfig):
                 raise ValueError("deformation: found it without a model in [[variants]], expected none")
         if self.data is None and self._states("posterior"):
             raise ValueError("posterior: found it without [data], expected none, since nothing has been measured")
-        if self.given and self.poses.file is not None:
-            raise ValueError("given: found bounds beside poses.file, expected none, since the file says what is given")
-        for change in self.what_if:
+        if self.conditions and self.poses.file is not None:
+            raise ValueError("conditions: found bounds beside poses.file, expected none, since the file states them")
+        for change in self.scenarios:
             if not change.model_error and self.data is None and self.model_error.terms in ([], ALONE):
-                raise ValueError(f"what_if {change.name!r}: model_error: found none to leave out, expected no key")
+                raise ValueError(f"scenario {change.name!r}: model_error: found none to leave out, expected no key")
         return self
 
     def _states(self, name: str) -> bool:
@@ -419,12 +406,12 @@ class AuditConfig(ExperimentConfig):
     def _check_data(self) -> None:
         if len(self.variants) > 1:
             raise ValueError("variants: found several beside [data], expected one of the study's")
-        for name in ("free", "fixed", "common", "sensors"):
+        for name in ("free", "fixed", "tied", "sensors"):
             if getattr(self.variants[0], name):
                 raise ValueError(f"variants.{name}: found it beside [data], expected none, since the study has its own")
-        for change in self.what_if:
+        for change in self.scenarios:
             if change.sensors is not None:
-                raise ValueError(f"what_if {change.name!r}: sensors: found them beside [data], expected none")
+                raise ValueError(f"scenario {change.name!r}: sensors: found them beside [data], expected none")
 
 
 def _add_actuators(section: Any) -> Any:

@@ -13,69 +13,78 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from math import comb
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple, TypedDict
 
 import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
+from bayescal.experiments.audit.rows import (
+    ERROR,
+    NOISE,
+    PARAMETER_ERROR,
+    BestSetParameterRow,
+    BestSetRow,
+    InfeasibleSetRow,
+    SensorSetRow,
+)
 from bayescal.experiments.audit.schema import SensorChoiceConfig
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.knowledge import differentiate
 from bayescal.experiments.shared.readings.workspace import SINGULAR
 from bayescal.identifiability.information import Information, information_of_rows, marginalise, root_of
-from bayescal.identifiability.reading_rows import Slopes, name_tool, rms
-from bayescal.identifiability.requirements import ErrorsInUse, Forecast, Requirement, forecast_tool
+from bayescal.identifiability.reading_rows import Jacobians, name_tool, rms
+from bayescal.identifiability.requirements import ErrorsInUse, Requirement, WorkspaceErrorModel, forecast_tool
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
 MOST_ROUNDS = 20  # of exchanges
-DIGITS = 9  # of a price, for sums of the same prices to be the same
+DIGITS = 9  # of a cost, for sums of the same costs to be the same
 
 type Reason = Literal["", "calibration", "use"]
 
 
 @dataclass(frozen=True)
-class Choice:
+class SensorGroup:
     """A sensor, or an instrument of several readings."""
 
     name: str
     channels: tuple[str, ...]
-    price: float = np.nan  # NaN where no prices are stated
+    cost: float = np.nan  # NaN where none are stated
 
 
 def list_choices(
     model: ReadingModel, section: SensorChoiceConfig, spread: Callable[[Sequence[str]], list[str]]
-) -> tuple[Choice, ...]:
-    """Return what there is to choose from, kinds spread, with prices.
+) -> tuple[SensorGroup, ...]:
+    """Return what there is to choose from, kinds spread, with costs.
 
     ``spread`` takes names to channels or kinds of them, a sensor of poses to all that belong together. InputError for
-    unknown sensors and those listed twice; where there are prices, for one without and a price of nothing.
+    unknown sensors and those listed twice; where there are costs, for one without and a cost of nothing.
     """
-    candidates, always, prices = section.candidates, section.always, section.prices
-    found: list[Choice] = []
+    candidates, always, costs = section.candidates, section.required_sensors, section.costs
+    found: list[SensorGroup] = []
     for entry in candidates:
         names = spread([entry] if isinstance(entry, str) else entry)
         channels = tuple(model.names[k] for k in model.select(names))
         if isinstance(entry, list) or names != [entry]:
-            found.append(Choice(entry if isinstance(entry, str) else " + ".join(entry), channels))
+            found.append(SensorGroup(entry if isinstance(entry, str) else " + ".join(entry), channels))
         else:
-            found += [Choice(one, (one,)) for one in channels]
+            found += [SensorGroup(one, (one,)) for one in channels]
     taken = [model.names[k] for k in model.select(spread(always))] + [name for one in found for name in one.channels]
     for name in taken:
         if taken.count(name) > 1:
-            raise InputError(f"found {name} twice in candidates and always, expected each sensor once")
-    if not prices:
+            raise InputError(f"found {name} twice in candidates and required_sensors, expected each sensor once")
+    if not costs:
         return tuple(found)
-    named = [one.name if one.name in prices else one.name.partition("[")[0] for one in found]
+    named = [one.name if one.name in costs else one.name.partition("[")[0] for one in found]
     for name in named:
-        if name not in prices:
-            raise InputError(f"prices: found none of {name}, expected one of each candidate, or of its kind")
-    for name in prices:
+        if name not in costs:
+            raise InputError(f"costs: found none of {name}, expected one of each candidate, or of its kind")
+    for name in costs:
         if name not in named:
-            raise InputError(f"prices: found {name!r}, expected some of {', '.join(dict.fromkeys(named))}")
-    return tuple(replace(one, price=prices[name]) for one, name in zip(found, named, strict=True))
+            raise InputError(f"costs: found {name!r}, expected some of {', '.join(dict.fromkeys(named))}")
+    return tuple(replace(one, cost=costs[name]) for one, name in zip(found, named, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +96,7 @@ class SensorChoice:
     variant: Variant  # with all sensors there are to choose from
     expected: Array  # (n,): the machine and its errors as expected, in the coordinates of the variant's posterior
     see_errors: Callable[[Array], ErrorsInUse]  # what its channels err by at poses (W, q) of the machine in use
-    choices: tuple[Choice, ...]
+    choices: tuple[SensorGroup, ...]
     requirements: tuple[Requirement, ...]  # of the tool's coordinates
     units: Units
     seed: int
@@ -102,13 +111,13 @@ class SensorChoice:
 class SetAccuracy:
     """How good a set of sensors is."""
 
-    # why it is no good: its readings would not determine the poses of the ``calibration``, or its own sensors not
+    # why it is infeasible: its readings would not determine the poses of the ``calibration``, or its own sensors not
     # where the machine is in ``use``; empty where it is
     reason: Reason
     missing: int  # how many coordinates are not determined, in calibration and in use together
     # what is to be small: the largest standard deviation as a share of its limit, at the worst pose or rms as is
     # required; where nothing is required the root mean square of the tool's error, lengths together. Infinite for
-    # a set that is no good
+    # a set that is infeasible
     goal: float
     # (t,) each: rms over the workspace of all together, of what is unknown of the parameters, of noise in use
     error: Array
@@ -118,13 +127,13 @@ class SetAccuracy:
     n_readings: int  # at a pose
 
 
-class _Seen(NamedTuple):
+class _SetResult(NamedTuple):
     """Coordinates that a set does not determine in calibration and in use, else what it informs of and the forecast."""
 
     lost: tuple[int, int]
     n_readings: int
     information: Information | None = None
-    forecast: Forecast | None = None
+    forecast: WorkspaceErrorModel | None = None
 
 
 class _Judge:
@@ -140,7 +149,7 @@ class _Judge:
         # by coefficients of functions of the pose, (P, K, N)
         self.by_functions = posterior.likelihood.white_columns(errors, zeta, white)[0] if errors.has_columns else None
         pose = variant.workspace.draw(variant.workspace.n_poses, np.random.default_rng([choice.seed, 5]))
-        self.around: Slopes = differentiate(posterior, variant, expected, pose)
+        self.around: Jacobians = differentiate(posterior, variant, expected, pose)
         self.errors = choice.see_errors(self.around.pose)
         always = [variant.model.names[k] for k in variant.model.select(choice.always)]
         self.always = np.isin(variant.model.names, always)
@@ -153,7 +162,7 @@ class _Judge:
             self.known[chosen] = self.judge(chosen)
         return self.known[chosen].missing, self.known[chosen].goal
 
-    def see(self, chosen: tuple[int, ...]) -> _Seen:
+    def see(self, chosen: tuple[int, ...]) -> _SetResult:
         some, at = self.always | self.choice.members[list(chosen)].any(axis=0), self.around
         own = some & self.choice.variant.internal
         white, n_readings = at.white[own, None], int(some.sum())
@@ -161,7 +170,7 @@ class _Judge:
         in_use, sizes, turned = np.linalg.svd(white * at.by_pose[:, own] * at.half, full_matrices=False)
         lost = _count_lost(values, len(at.half)), _count_lost(sizes, len(at.half))
         if any(lost):
-            return _Seen(lost, n_readings)
+            return _SetResult(lost, n_readings)
         by_parameters = self.by_parameters[:, some]
         rows = _leave_out(basis, by_parameters)
         gain = np.swapaxes(turned * at.half, -1, -2) / sizes[:, None] @ np.swapaxes(in_use, -1, -2)
@@ -169,10 +178,10 @@ class _Judge:
         whole = at.mislocate(located, white * at.seen[:, own])
         forecast = forecast_tool(whole, located * white.T, self.errors.of(own), at.alignment)
         if self.by_functions is None:
-            return _Seen(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
+            return _SetResult(lost, n_readings, information_of_rows(rows, np.ones(rows.shape[-1])), forecast)
         others = _leave_out(basis, self.by_functions[:, some])
         flat = (one.reshape(-1, one.shape[-1]) for one in (rows, others))
-        return _Seen(lost, n_readings, marginalise(*flat), forecast)
+        return _SetResult(lost, n_readings, marginalise(*flat), forecast)
 
     def judge(self, chosen: tuple[int, ...]) -> SetAccuracy:
         seen = self.see(chosen)
@@ -215,6 +224,14 @@ def _count_lost(values: Array, q: int) -> int:
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
+class _SetColumns(TypedDict):
+    n_sensors: int
+    sensors: str
+    cost: float | None
+    n_readings: int
+    reason: Reason
+
+
 @dataclass(frozen=True, eq=False)
 class FoundSets:
     """Sets of sensors that were judged."""
@@ -223,7 +240,7 @@ class FoundSets:
     accuracy: list[SetAccuracy]
     exhaustive: bool  # whether these are all there are
     # (S,): that all requirements are kept, of the best set of every number and of those on the front against the
-    # price; NaN of others and without requirements
+    # cost; NaN of others and without requirements
     probability: Array
 
     def best_of(self, number: int) -> int | None:
@@ -241,8 +258,8 @@ class FoundSets:
 def search_sensors(choice: SensorChoice) -> FoundSets:
     """Return all sets of at most some number of choices, or those tried on the way to the best ones."""
     judge, n = _Judge(choice), len(choice.choices)
-    largest = min(choice.section.largest or n, n)
-    every = sum(comb(n, number) for number in range(largest + 1)) <= choice.section.exhaustive
+    largest = min(choice.section.max_sensors or n, n)
+    every = sum(comb(n, number) for number in range(largest + 1)) <= choice.section.max_exhaustive_sets
     if every:
         for number in range(largest + 1):
             for chosen in combinations(range(n), number):
@@ -252,7 +269,7 @@ def search_sensors(choice: SensorChoice) -> FoundSets:
     tried = sorted(judge.known, key=len)
     masks = np.array([np.isin(np.arange(n), one) for one in tried]).reshape(-1, n)
     found = FoundSets(masks, [judge.known[one] for one in tried], every, np.full(len(masks), np.nan))
-    front = find_front(pd.DataFrame([_describe(choice, found, k) for k in range(len(tried))]))
+    front = find_front(_tabulate_judged(choice, found))
     for k in dict.fromkeys([place for _, place in found.list_best()] + [int(k) for k in front.index]):
         found.probability[k] = judge.find_probability(tried[k], np.random.default_rng([choice.seed, 3]))
     return found
@@ -276,8 +293,8 @@ def _add_and_exchange(judge: _Judge, n: int, largest: int) -> None:
             chosen = best
 
 
-def find_hopeless(found: FoundSets) -> list[int]:
-    """Return the largest sets that are no good: their parts, which determine less, are no good either."""
+def find_infeasible(found: FoundSets) -> list[int]:
+    """Return the largest sets that are infeasible: their parts, which determine less, are infeasible, too."""
     places = np.array([k for k, one in enumerate(found.accuracy) if one.reason], dtype=int)
     some = found.sets[places]
     within = (some.astype(np.int64) @ (~some).T.astype(np.int64)) == 0  # a set of the row within that of the column
@@ -286,10 +303,10 @@ def find_hopeless(found: FoundSets) -> list[int]:
 
 
 def find_front(sets: pd.DataFrame) -> pd.DataFrame:
-    """Return the sets that no other one beats at its price or below, the cheapest first; empty without prices."""
-    if "price" not in sets:
+    """Return the sets that no other one beats at its cost or below, the cheapest first; empty without costs."""
+    if "cost" not in sets:
         return pd.DataFrame()
-    good = sets[sets["goal"].notna()].sort_values(["price", "goal", "n_sensors"], kind="stable")
+    good = sets[sets["goal"].notna()].sort_values(["cost", "goal", "n_sensors"], kind="stable")
     return good[good["goal"] < good["goal"].cummin().shift(fill_value=np.inf)]
 
 
@@ -297,65 +314,71 @@ def find_front(sets: pd.DataFrame) -> pd.DataFrame:
 
 
 def tabulate_sets(choice: SensorChoice, found: FoundSets) -> dict[str, pd.DataFrame]:
-    """Return ``sensor_sets``, ``best_sets``, their ``front`` against the price, and what no set of them determines.
+    """Return ``sensor_sets``, ``best_sets``, their ``front`` against the cost, and what no set of them determines.
 
-    That is ``best_set_parameters`` and ``hopeless_sets``; tables without rows are left out.
+    That is ``best_set_parameters`` and ``infeasible_sets``; tables without rows are left out.
     """
     best = found.list_best()
     tables = {
-        "sensor_sets": (sets := pd.DataFrame([_describe(choice, found, k) for k in range(len(found.sets))])),
+        "sensor_sets": (sets := _tabulate_judged(choice, found)),
         "front": find_front(sets),
-        "best_sets": pd.DataFrame([_describe(choice, found, k) | _count(found, number) for number, k in best]),
-        "best_set_parameters": pd.DataFrame([row for one in best for row in _list_parameters(choice, found, *one)]),
-        "hopeless_sets": pd.DataFrame([_name_set(choice, found, k) for k in find_hopeless(found)]),
+        "best_sets": BestSetRow.collect(_describe(BestSetRow, choice, found, k, number) for number, k in best),
+        "best_set_parameters": pd.concat([_tabulate_parameters(choice, found, *one) for one in best])
+        if best
+        else pd.DataFrame(),
+        "infeasible_sets": InfeasibleSetRow.collect(
+            InfeasibleSetRow(**_name_set(choice, found, k)) for k in find_infeasible(found)
+        ),
     }
     return {name: table for name, table in tables.items() if not table.empty}
 
 
-def _name_set(choice: SensorChoice, found: FoundSets, place: int) -> dict[str, Any]:
+def _tabulate_judged(choice: SensorChoice, found: FoundSets) -> pd.DataFrame:
+    """Return a row per set that was judged."""
+    return SensorSetRow.collect(_describe(SensorSetRow, choice, found, k) for k in range(len(found.sets)))
+
+
+def _name_set(choice: SensorChoice, found: FoundSets, place: int) -> _SetColumns:
+    """Return the columns of an infeasible set, which are those of any set."""
     chosen = [one for one, there in zip(choice.choices, found.sets[place], strict=True) if there]
-    price = round(sum(one.price for one in chosen), DIGITS)
+    cost = None if np.isnan(choice.choices[0].cost) else round(sum(one.cost for one in chosen), DIGITS)
     return {
         "n_sensors": len(chosen),
         "sensors": ", ".join(one.name for one in chosen),
-        **({} if np.isnan(choice.choices[0].price) else {"price": price}),
+        "cost": cost,
         "n_readings": found.accuracy[place].n_readings,
         "reason": found.accuracy[place].reason,
     }
 
 
-def _describe(choice: SensorChoice, found: FoundSets, place: int) -> dict[str, Any]:
+def _describe[R: SensorSetRow](
+    row: type[R], choice: SensorChoice, found: FoundSets, place: int, number: int | None = None
+) -> R:
+    """Return a set as a row, with how many of a number of choices were judged where one is given."""
     one, variant = found.accuracy[place], choice.variant
     names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
-    parts = {"error": one.error, "after": one.after, "noise": one.noise}
-    return {
+    parts = {ERROR: one.error, PARAMETER_ERROR: one.after, NOISE: one.noise}
+    same = [] if number is None else [found.accuracy[k] for k in np.flatnonzero(found.sets.sum(axis=1) == number)]
+    return row(
         **_name_set(choice, found, place),
-        "n_equations": variant.data.n_poses * max(0, one.n_readings - len(variant.model.coordinates)),
-        "goal": one.goal if np.isfinite(one.goal) else np.nan,
-        **({"probability": found.probability[place]} if choice.requirements else {}),
-        "left": float(np.sqrt(np.mean(one.sd**2))),
-        **{
-            f"{part}_{name}": value for part, values in parts.items() for name, value in zip(names, values, strict=True)
-        },
-    }
+        n_equations=variant.data.n_poses * max(0, one.n_readings - len(variant.model.coordinates)),
+        goal=one.goal if np.isfinite(one.goal) else np.nan,
+        probability=found.probability[place] if choice.requirements else None,
+        sd_ratio=float(np.sqrt(np.mean(one.sd**2))),
+        n_sets=None if number is None else len(same),
+        n_infeasible=None if number is None else sum(some.reason != "" for some in same),
+        others={f"{part}{name}": x for part, values in parts.items() for name, x in zip(names, values, strict=True)},
+    )
 
 
-def _count(found: FoundSets, number: int) -> dict[str, Any]:
-    """Return how many sets of a number were judged, and how many of them are no good."""
-    alike = [one for one, n in zip(found.accuracy, found.sets.sum(axis=1), strict=True) if n == number]
-    return {"n_sets": len(alike), "n_hopeless": sum(one.reason != "" for one in alike)}
-
-
-def _list_parameters(choice: SensorChoice, found: FoundSets, number: int, place: int) -> Iterator[dict[str, Any]]:
+def _tabulate_parameters(choice: SensorChoice, found: FoundSets, number: int, place: int) -> pd.DataFrame:
     posterior, units = choice.variant.plain(), choice.units
     n = posterior.n_geometry
-    columns = (posterior.sampling.names, posterior.units[:n], posterior.prior_sd[:n], found.accuracy[place].sd)
-    for name, unit, prior, share in zip(*columns, strict=True):
-        said = float(prior / units.factor(unit))
-        yield {
-            "n_sensors": number,
-            "parameter": name,
-            "unit": units.name(unit),
-            "prior_sd": said,
-            "sd": share * said,
-        }
+    prior = posterior.prior_sd[:n] / np.array([units.factor(unit) for unit in posterior.units[:n]])
+    return BestSetParameterRow.tabulate(
+        n_sensors=number,
+        parameter=posterior.sampling.names,
+        unit=[units.name(unit) for unit in posterior.units[:n]],
+        prior_sd=prior,
+        sd=found.accuracy[place].sd * prior,
+    )

@@ -17,14 +17,14 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     name_unit,
 )
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import Shown, print_table
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.terminal import TerminalColumn, print_table
 from bayescal.limits import COVERAGE
 from bayescal.report.blocks import Page, Table, choose_first, count_folded
-from bayescal.report.numbers import NOTHING, format_plain, format_significant
+from bayescal.report.numbers import NO_VALUE, format_plain, format_significant
 from bayescal.report.symbols import write_symbol
 
-type Printed = tuple[Sequence[Shown], Sequence[Sequence[str]]]
+type Printed = tuple[Sequence[TerminalColumn], Sequence[Sequence[str]]]
 
 MARKS = {"good": "+", "plain": " ", "warning": "!", "bad": "x"}
 MOST_WIDTH, FILE_WIDTH = 120, 100
@@ -37,9 +37,9 @@ def show_audit(results: Results, page: Page, console: Console) -> None:
     lines: list[RenderableType] = [page.title]
     lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in page.failures]
     lines.append(page.headline)
-    seen, folded = choose_first(page.verdict)
+    seen, folded = choose_first(page)
     for statement in seen:
-        text = re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), statement.text)
+        text = re.sub(r"(?<![\w.])[A-Za-z]\w*", lambda found: written.get(found[0], found[0]), statement.said)
         grid = Grid.grid(padding=(0, 1))
         grid.add_row(MARKS[statement.level], f"{statement.lead}: {text}")
         lines.append(grid)
@@ -56,10 +56,11 @@ def show_audit(results: Results, page: Page, console: Console) -> None:
 
 
 def _take(table: Table, ranks: Mapping[int, int]) -> Printed:
-    """Return some columns of a page's table with their ranks; see `Shown`."""
+    """Return some columns of a page's table with their ranks; see `TerminalColumn`."""
     chosen = {k: table.columns[k] for k in ranks}
     shown = [
-        Shown(one.title.lower(), ranks[k], "right" if one.kind == "number" else "left") for k, one in chosen.items()
+        TerminalColumn(one.title.lower(), ranks[k], "right" if one.kind == "number" else "left")
+        for k, one in chosen.items()
     ]
     rows = [
         [write_symbol(row[k].text) if one.kind == "symbol" else row[k].text for k, one in chosen.items()]
@@ -71,18 +72,17 @@ def _take(table: Table, ranks: Mapping[int, int]) -> Printed:
 def _tabulate_variants(audit: AuditResults) -> list[Printed]:
     """Return how sets of sensors compare; nothing of a single one."""
     columns = (
-        Shown("variant", justify="left"),
-        Shown("free"),
-        Shown("equations", 2),
-        Shown("identifiable"),
-        Shown("error left", 1),
-        Shown("requirements"),
+        TerminalColumn("variant", justify="left"),
+        TerminalColumn("free"),
+        TerminalColumn("equations", 2),
+        TerminalColumn("identifiable"),
+        TerminalColumn("error, posterior / prior", 1),
+        TerminalColumn("requirements"),
     )
     rows = []
-    for name, row in audit.summary.get("variants", {}).items():
-        left, chance = (float("nan") if row.get(key) is None else row[key] for key in ("left", "probability"))
-        numbers = [str(row.get(key)) for key in ("n_parameters", "n_equations", "n_identifiable")]
-        rows.append((name, *numbers, format_share(left), format_probability(chance)))
+    for row in audit.variants:
+        numbers = map(str, (row.n_parameters, row.n_equations, row.n_identifiable))
+        rows.append((row.variant, *numbers, format_share(row.error_ratio), format_probability(row.probability)))
     return [(columns, rows)] if len(rows) > 1 else []
 
 
@@ -92,11 +92,11 @@ def _tabulate_sets(audit: AuditResults) -> list[Printed]:
     if reduced is None or len(reduced["free"]) == n:
         return []
     columns = (
-        Shown("free", justify="left"),
-        Shown("parameters", 1),
-        Shown("true error / claimed sd, rms"),
-        Shown("90 % intervals hold"),
-        Shown("simulated", 2),
+        TerminalColumn("free", justify="left"),
+        TerminalColumn("parameters", 1),
+        TerminalColumn("true error / claimed sd, rms"),
+        TerminalColumn("90 % coverage"),
+        TerminalColumn("simulated", 2),
     )
     rows = []
     for name, free, z, coverage, key in (
@@ -104,7 +104,7 @@ def _tabulate_sets(audit: AuditResults) -> list[Printed]:
         ("reduced set", len(reduced["free"]), reduced["rms_z"], reduced["coverage_90"], "_reduced"),
     ):
         simulated = audit.summary.get(f"simulated_calibrations{key}")
-        found = NOTHING if simulated is None else format_share(simulated["coverage_90"])
+        found = NO_VALUE if simulated is None else format_share(simulated["coverage_90"])
         rows.append((name, str(free), format_significant(z, 2), format_share(coverage), found))
     return [(columns, rows)]
 
@@ -112,16 +112,16 @@ def _tabulate_sets(audit: AuditResults) -> list[Printed]:
 def _tabulate_requirements(audit: AuditResults) -> list[Printed]:
     """Return how each requirement is met; nothing where none is stated."""
     columns = (
-        Shown("requirement", justify="left"),
-        Shown("limit"),
-        Shown("predicted sd"),
-        Shown("of limit", 1),
-        Shown("probability"),
-        Shown("before", 2),
+        TerminalColumn("requirement", justify="left"),
+        TerminalColumn("limit"),
+        TerminalColumn("predicted sd"),
+        TerminalColumn("of limit", 1),
+        TerminalColumn("probability"),
+        TerminalColumn("before", 2),
     )
     rows = [
         (
-            name_requirement(r.name),
+            name_requirement(r.requirement),
             f"{format_plain(r.limit)} {name_unit(r.unit)}",
             f"{format_sd(r.predicted_sd)} {name_unit(r.unit)}",
             format_share(r.predicted_sd / r.limit),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 import pandas as pd
@@ -12,24 +13,35 @@ import pandas as pd
 from bayescal.config.classes import label_class
 from bayescal.config.registry import is_own
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.selection.inputs import SelectionInputs
+from bayescal.experiments.selection.rows import (
+    CalibrationErrorRow,
+    CalibrationErrorSummaryRow,
+    RandomSetRow,
+    SelectedPlanRow,
+    SelectionClassRow,
+    SelectionRow,
+    SelectionSummaryRow,
+    SelectionTimeRow,
+    SelectionTraceRow,
+)
 from bayescal.experiments.selection.schema import RandomChoiceConfig, label_of
 from bayescal.files.csv_tables import format_table
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.pose_volume import AXES
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
-from bayescal.pose_selection import Criterion, Selection, SelectionMethod, SelectionProblem, select
+from bayescal.pose_selection import SelectedPoses, SelectionProblem, select
 from bayescal.pose_selection.calibrations import compute_workspace_errors, simulate_calibrations
 
 SETS, MACHINES = 2, 3  # streams of random numbers
 UNKNOWN = 1e-8  # weight of the tolerances where the identification does not know them
 DESIGN, RANDOM = "given", "random"
 KEY = ["label", "criterion", "n_poses"]
-SCALES = {"position_um": 1.0 / MICROMETRE, "rotation_arcsec": 1.0 / ARCSECOND, "share_of_limits": 1.0}
-NEAR = 0.95  # of the box: a pose beyond counts as at its boundary
+SCALES = {"position_um": 1.0 / MICROMETRE, "rotation_arcsec": 1.0 / ARCSECOND, "over_limits": 1.0}
+BOUNDARY_FRACTION = 0.95  # of the box: a pose beyond counts as at its boundary
 
 
 def compute_selections(inputs: SelectionInputs, run: Run) -> Results:
@@ -71,7 +83,7 @@ class JudgedPoses:
     """A set of poses and what it is worth."""
 
     task: Task
-    selection: Selection | None  # None for a set that somebody else has chosen
+    selection: SelectedPoses | None  # None for a set that somebody else has chosen
     actuators: Array  # (n, N), mm
     moves: Array  # (n, 6): displacements from home, mm and rad
     indices: dict[str, float]  # by name: O1 to O5
@@ -125,7 +137,7 @@ def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
     accuracy = None
     if (wanted := config.calibrations) is not None:
         rng = np.random.default_rng([config.seed, MACHINES, task.repeat])
-        accuracy = judge_poses(inputs, whole, wanted.machines, rng, wanted.known)
+        accuracy = judge_poses(inputs, whole, wanted.machines, rng, wanted.use_priors)
     return JudgedPoses(task, selection, actuators, moves, inputs.indices(whole), accuracy, seconds)
 
 
@@ -177,57 +189,89 @@ def judge_poses(
 
 def tabulate(inputs: SelectionInputs, chosen: list[JudgedPoses]) -> dict[str, pd.DataFrame]:
     """Return all tables of an experiment."""
-    selections = tabulate_selections(chosen)
-    best = selections.groupby(KEY, sort=False)["value"].agg(["max", "mean", "std", "count"]).reset_index()
-    errors = pd.DataFrame([_key(o.task) | o.accuracy for o in chosen if o.accuracy is not None])
-    error_summary = pd.DataFrame()
-    if not errors.empty:
-        errors.insert(0, "name", name_ways(errors))
-        error_summary = summarise_errors(errors)
-        error_summary.insert(0, "name", name_ways(error_summary))
-    classes = tabulate_classes(inputs)
+    judged = pd.DataFrame([_key(o.task) | o.accuracy for o in chosen if o.accuracy is not None])
+    errors = (
+        pd.DataFrame() if judged.empty else CalibrationErrorRow.tabulate(name=name_ways(judged), **_columns(judged))
+    )
+    selections = SelectionRow.collect(map(describe_selection, chosen))
+    summary = selections.groupby(KEY, sort=False)["value"].agg(["max", "mean", "std", "count"]).reset_index()
+    classes = list_classes(inputs)
+    made = [(_key(one.task), one, one.selection) for one in chosen if one.selection is not None]
     return {
-        **({} if classes.empty else {"classes": classes}),
+        **({"classes": SelectionClassRow.collect(classes)} if classes else {}),
         "selections": selections,
-        "selection_summary": best.rename(columns={"max": "best", "std": "sd", "count": "repeats"}),
+        "selection_summary": SelectionSummaryRow.tabulate(
+            **_columns(summary.rename(columns={"max": "best", "std": "sd", "count": "n_repeats"}))
+        ),
         "poses": tabulate_poses(inputs, chosen),
-        "traces": _tabulate_values([o for o in chosen if not o.task.is_histogram], "iteration"),
-        "random_sets": _tabulate_values([o for o in chosen if o.task.is_histogram], "set"),
-        "timings": pd.DataFrame([_key(o.task) | {"seconds": o.seconds} for o in chosen if o.selection is not None]),
+        "traces": SelectionTraceRow.collect(
+            SelectionTraceRow(**key, iteration=k, value=value)
+            for key, one, selection in made
+            if not one.task.is_histogram
+            for k, value in enumerate(selection.trace)
+        ),
+        "random_sets": RandomSetRow.collect(
+            RandomSetRow(**key, set=k, value=value)
+            for key, one, selection in made
+            if one.task.is_histogram
+            for k, value in enumerate(selection.trace, start=1)
+        ),
+        "timings": SelectionTimeRow.collect(SelectionTimeRow(**key, seconds=one.seconds) for key, one, _ in made),
         "errors": errors,
-        "error_summary": error_summary,
+        "error_summary": errors if errors.empty else summarise_errors(errors),
     }
 
 
-def tabulate_selections(outcomes: list[JudgedPoses]) -> pd.DataFrame:
-    """Return one row per selection; the time it took is apart, in ``timings``."""
-    rows = []
-    for outcome in outcomes:
-        chosen = outcome.selection
-        value = outcome.indices.get(outcome.task.criterion, np.nan) if chosen is None else chosen.value
-        rows.append(
-            _key(outcome.task)
-            | {"method": "given" if chosen is None else chosen.method, "value": value}
-            | outcome.indices
-            | {
-                "n_evaluations": 0 if chosen is None else chosen.n_evaluations,
-                "n_iterations": 0 if chosen is None else len(chosen.trace) - 1,
-                "converged": True if chosen is None else chosen.converged,
-                "reason": "" if chosen is None else chosen.reason,
-                "at_boundary": np.nan if chosen is None else float(np.mean(np.abs(chosen.shares).max(axis=1) > NEAR)),
-            }
+def _columns(table: pd.DataFrame) -> dict[str, pd.Series]:
+    return {str(name): column for name, column in table.items()}
+
+
+def describe_selection(outcome: JudgedPoses) -> SelectionRow:
+    """Return a selection as a row; the time it took is apart, in ``timings``."""
+    chosen = outcome.selection
+    if chosen is None:
+        return SelectionRow(
+            **_key(outcome.task),
+            method="given",
+            value=outcome.indices.get(outcome.task.criterion, np.nan),
+            others=outcome.indices,
+            n_evaluations=0,
+            n_iterations=0,
+            converged=True,
+            reason="",
+            boundary_fraction=np.nan,
         )
-    return pd.DataFrame(rows)
+    return SelectionRow(
+        **_key(outcome.task),
+        method=chosen.method,
+        value=chosen.value,
+        others=outcome.indices,
+        n_evaluations=chosen.n_evaluations,
+        n_iterations=len(chosen.trace) - 1,
+        converged=chosen.converged,
+        reason=chosen.reason,
+        boundary_fraction=float(np.mean(np.abs(chosen.shares).max(axis=1) > BOUNDARY_FRACTION)),
+    )
 
 
-def tabulate_classes(inputs: SelectionInputs) -> pd.DataFrame:
-    """Return what criteria and methods of somebody else's are; none for built-in ones, which every page knows."""
+def list_classes(inputs: SelectionInputs) -> list[SelectionClassRow]:
+    """Return user-defined criteria and methods; none of built-in ones, which every page knows."""
     config = inputs.config
-    found: list[tuple[str, Criterion | SelectionMethod]] = []
-    found += [("criterion", inputs.criterion(label)) for label in config.criteria]
-    found += [("method", inputs.method(choice)) for choice in config.selections]
-    rows = {(what, one.name): (one.title, one.source) for what, one in found if is_own(type(one))}
-    return pd.DataFrame([(*key, *words) for key, words in rows.items()], columns=["what", "name", "title", "source"])
+    criteria = [inputs.criterion(label) for label in config.criteria]
+    methods = [inputs.method(choice) for choice in config.selections]
+    found = [
+        *(
+            SelectionClassRow(role="criterion", name=c.name, title=c.title, source=c.source)
+            for c in criteria
+            if is_own(type(c))
+        ),
+        *(
+            SelectionClassRow(role="method", name=m.name, title=m.title, source=m.source)
+            for m in methods
+            if is_own(type(m))
+        ),
+    ]
+    return list(dict.fromkeys(found))
 
 
 def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.DataFrame:
@@ -238,9 +282,9 @@ def tabulate_poses(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> pd.D
     parts = []
     for outcome in outcomes:
         moves = np.concatenate([outcome.moves[:, :3], np.degrees(outcome.moves[:, 3:])], axis=1)
-        where = pd.DataFrame(np.concatenate([moves, outcome.actuators - start], axis=1), columns=[*columns, *legs])
-        which = pd.DataFrame(_key(outcome.task) | {"pose": np.arange(1, len(where) + 1)})
-        parts.append(pd.concat([which, where], axis=1))
+        where = np.concatenate([moves, outcome.actuators - start], axis=1)
+        others = dict(zip([*columns, *legs], where.T, strict=True))
+        parts.append(SelectedPlanRow.tabulate(others, **_key(outcome.task), pose=np.arange(1, len(where) + 1)))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -266,7 +310,7 @@ def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:
     """
     groups = errors.groupby(KEY, sort=False)
     n, mean, sd = groups.size(), groups.mean(numeric_only=True), groups.std(numeric_only=True)
-    table = pd.DataFrame({"repeats": n})
+    table = pd.DataFrame({"n_repeats": n})
     for part in SCALES:
         table[f"predicted_{part}"] = mean[f"predicted_{part}"]
         simulated = f"simulated_{part}"
@@ -274,7 +318,8 @@ def summarise_errors(errors: pd.DataFrame) -> pd.DataFrame:
         table[f"{simulated}_se"] = (sd[simulated] / np.sqrt(n)).where(n > 1, mean[f"{simulated}_se"])
     table["mean_position_um"], table["mean_position_um_sd"] = mean["mean_position_um"], sd["mean_position_um"]
     table["parameters_rms"], table["n_failed"] = mean["parameters_rms"], groups["n_failed"].sum()
-    return table.reset_index()
+    table = table.reset_index()
+    return CalibrationErrorSummaryRow.tabulate(name=name_ways(table), **_columns(table))
 
 
 def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[str, str]:
@@ -301,17 +346,12 @@ def format_plans(inputs: SelectionInputs, outcomes: list[JudgedPoses]) -> dict[s
     return texts
 
 
-def _key(task: Task) -> dict[str, str | int]:
+class _SelectionKey(TypedDict):
+    label: str
+    criterion: str
+    n_poses: int
+    repeat: int
+
+
+def _key(task: Task) -> _SelectionKey:
     return {"label": task.label, "criterion": task.criterion, "n_poses": task.n_poses, "repeat": task.repeat + 1}
-
-
-def _tabulate_values(outcomes: list[JudgedPoses], what: str) -> pd.DataFrame:
-    parts = []
-    for outcome in outcomes:
-        if outcome.selection is None:
-            continue
-        trace = outcome.selection.trace
-        first = 1 if what == "set" else 0
-        parts.append(pd.DataFrame(_key(outcome.task) | {what: np.arange(first, first + len(trace)), "value": trace}))
-    columns = [*KEY, "repeat", what, "value"]
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)

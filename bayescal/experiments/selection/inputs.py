@@ -14,11 +14,11 @@ from bayescal.data.actuators import read_moves
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.selection.schema import (
+    ActuatorTableConfig,
     ContinuousChoiceConfig,
     OwnChoiceConfig,
     SelectionChoice,
     SelectionConfig,
-    TableConfig,
 )
 from bayescal.experiments.shared.design import REQUIRED, build_sensor, known_symbols, read_machine, read_workspace
 from bayescal.experiments.shared.readings.priors import choose_priors
@@ -66,24 +66,24 @@ class SelectionInputs:
     designs: dict[str, Array]  # by name, (n, N): actuator positions of sets of poses that somebody else has chosen, mm
 
     def candidates(self, repeat: int) -> Candidates:
-        """Return the candidates of a repeat; without ``redraw`` all have those of the first.
+        """Return the candidates of a repeat; without ``resample`` all have those of the first.
 
         The first even or factorial ones are the plain sequence, later ones are scrambled.
         """
         section = self.config.candidates
-        place = repeat if section.redraw else 0
+        place = repeat if section.resample else 0
         rng = np.random.default_rng([self.config.seed, CANDIDATES, place])
-        if section.spread == "random":
+        if section.layout == "random":
             return random_candidates(self.domain, section.count, rng)
         scramble = rng if place else None
-        if section.spread == "factorial":
+        if section.layout == "factorial":
             return factorial_candidates(self.domain, section.count, scramble)
         return even_candidates(self.domain, section.count, scramble, section.levels)
 
     def criterion(self, name: str) -> Criterion:
         """Return a criterion by what tables call it."""
         chosen = choose("CRITERIA", self.config.criteria[name], Criterion, CRITERIA_FIELD, self.folder)  # type: ignore[type-abstract]
-        with name_failures(chosen.found, CRITERIA_FIELD, self.folder):
+        with name_failures(chosen.found, CRITERIA_FIELD):
             return chosen.found.from_config(chosen.options, self)
 
     def method(self, choice: SelectionChoice) -> SelectionMethod:
@@ -98,7 +98,7 @@ class SelectionInputs:
 
     def _make_method(self, name: str, field: str, options: dict[str, Any] | None) -> SelectionMethod:
         chosen = choose("METHODS", name, SelectionMethod, field, self.folder, options)  # type: ignore[type-abstract]
-        with name_failures(chosen.found, field, self.folder):
+        with name_failures(chosen.found, field):
             return chosen.found.from_config(chosen.options)
 
     @property
@@ -183,13 +183,13 @@ def _domain(config: SelectionConfig, design: Design) -> PoseDomain:
     half = None
     if section.position_mm is not None and section.rotation_deg is not None:
         half = np.concatenate([section.position_mm, np.radians(section.rotation_deg)])
-    if section.within == "workspace":
+    if section.kind == "workspace":
         assert half is not None
         return WorkspaceBox(design, half)
     return ActuatorBox(design, half)
 
 
-def _read_table(table: TableConfig, folder: Path, design: Design) -> Array:
+def _read_table(table: ActuatorTableConfig, folder: Path, design: Design) -> Array:
     mechanism = design.machine.mechanism
     moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
     return np.asarray(mechanism.initial_actuator_positions + moves)

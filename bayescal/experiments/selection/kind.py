@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need, check_memory, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.memory import MemoryEstimate, check_memory, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.selection.compute import check_problems, compute_selections
 from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
 from bayescal.experiments.selection.page import build_page
+from bayescal.experiments.selection.rows import ROWS
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.experiments.selection.verdict import Tables
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
@@ -25,6 +26,7 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
     """Which poses to measure, by criteria and methods compared."""
 
     schema = SelectionConfig
+    rows = ROWS
     digits = 12
 
     def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
@@ -34,7 +36,7 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
         check_problems(inputs)
         return inputs
 
-    def estimate_memory(self, inputs: SelectionInputs) -> Need:
+    def estimate_memory(self, inputs: SelectionInputs) -> MemoryEstimate:
         """Return what the rows of all candidates take."""
         n, n_parameters = inputs.config.candidates.count, len(inputs.design.names)
         n_rows = max(DEGREES_OF_FREEDOM, inputs.design.machine.mechanism.n_legs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 
 import matplotlib.figure as plt
 import numpy as np
@@ -12,24 +13,33 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from bayescal.experiments.frame.blocks import show_sections
+from bayescal.experiments.runner.blocks import show_sections
 from bayescal.experiments.selection.compute import DESIGN, RANDOM
+from bayescal.experiments.selection.rows import (
+    ROWS,
+    CalibrationErrorSummaryRow,
+    SelectionClassRow,
+    SelectionRow,
+    SelectionSummaryRow,
+)
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.experiments.selection.verdict import (
     JUDGEMENTS,
     Judgement,
     Tables,
+    list_key_figures,
     pair_errors,
     state_headline,
     state_verdict,
 )
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.files.rows import check_tables
 from bayescal.pose_selection import CRITERIA, METHODS
 from bayescal.pose_selection.observability import INDICES
-from bayescal.report.blocks import Column, Figure, Page, Section, Statement, Table, make_section, make_table
+from bayescal.report.blocks import Column, Figure, Page, PageSection, Statement, Table, make_section, make_table
 from bayescal.report.numbers import (
     MINUS,
-    NOTHING,
+    NO_VALUE,
     format_estimate,
     format_fixed,
     format_plain,
@@ -39,10 +49,10 @@ from bayescal.report.numbers import (
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
 
 KIND = "Pose selection"
-SMALL = 1e-2
+SMALL_DIFFERENCE = 1e-2
 COLOURS = (LEG_COLOURS[4], LEG_COLOURS[5], LEG_COLOURS[2], LEG_COLOURS[3], LEG_COLOURS[0], LEG_COLOURS[1])
 
-type PageBlock = Callable[[Tables], Section | None]
+type PageBlock = Callable[[Tables], PageSection | None]
 """A part of the page; None where these results have nothing for it."""
 
 
@@ -50,7 +60,7 @@ def format_spread(mean: float, sd: float) -> str:
     """Return mean ± sd of a number of any size; the mean alone without an sd."""
     if not sd > 0:
         return format_value(mean)
-    if mean == 0.0 or abs(mean) >= SMALL:
+    if mean == 0.0 or abs(mean) >= SMALL_DIFFERENCE:
         return format_estimate(mean, sd)
     power = -math.floor(math.log10(abs(mean)))
     return f"({format_estimate(mean * 10.0**power, sd * 10.0**power)})e{MINUS}{power}"
@@ -58,12 +68,12 @@ def format_spread(mean: float, sd: float) -> str:
 
 def format_value(value: float) -> str:
     """Return a number of any size to four digits."""
-    if value == 0.0 or abs(value) >= SMALL:
+    if value == 0.0 or abs(value) >= SMALL_DIFFERENCE:
         return format_significant(value, 4)
     return format_scientific(value, 4)
 
 
-def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None = None) -> Section | None:
+def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None = None) -> PageSection | None:
     """Return how many random sets spread; ``printed`` is what a source has of their ``mean`` and ``largest``."""
     sets = tables["random_sets"]
     if sets.empty:
@@ -79,7 +89,7 @@ def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None 
     rows = [
         [
             what,
-            *([] if printed is None else [NOTHING if (x := printed[what]) is None else format_value(x)]),
+            *([] if printed is None else [NO_VALUE if (x := printed[what]) is None else format_value(x)]),
             format_value(values.iloc[0]),
             format_spread(values.mean(), values.std()),
         ]
@@ -113,30 +123,25 @@ def draw_random_sets(sets: pd.DataFrame, criterion: str, printed: Mapping[str, f
     return figure
 
 
-def show_accuracy(tables: Tables) -> Section | None:
+def show_accuracy(tables: Tables) -> PageSection | None:
     """Return predicted and simulated errors after calibrations with the poses, and ways against each other."""
     if tables["errors"].empty:
         return None
     wanted = tables.config.calibrations
     assert wanted is not None
-    how = "with the tolerances known to it" if wanted.known else "by least squares weighted by the noise"
-    text = (
-        f"For each set of poses {wanted.machines} machines were drawn within the tolerances, measured with all noise "
-        f"and identified {how}; their poses over the workspace were then predicted and compared with the true ones. "
-        "Ways to choose poses are compared repeat by repeat, with the same candidates and machines.",
-    )
+    how = "with priors" if wanted.use_priors else "by weighted least squares"
+    text = (f"Simulated calibrations of {wanted.machines} machines for each set of poses, {how}.",)
     summary = tables["error_summary"]
     own, designs = summary[summary["criterion"] != DESIGN], summary[summary["criterion"] == DESIGN]
     quantities = {"mean_position_um": "Mean position error, µm"}
     if tables.config.requirements.is_any:
-        quantities["simulated_share_of_limits"] = "Pose error in units of the limits"
+        quantities["simulated_over_limits"] = "Pose error in units of the limits"
     else:
         quantities["simulated_rotation_arcsec"] = "Rms rotation error, arcsec"
     figures = [
         Figure(
             "errors",
-            "Simulated pose errors over the workspace against the number of poses: mean and standard deviation over "
-            "repeats, each of which is a mean over machines.",
+            "Simulated pose errors over the workspace: mean and standard deviation over repeats.",
             partial(draw_errors, own, designs, quantities),
         )
     ]
@@ -144,7 +149,7 @@ def show_accuracy(tables: Tables) -> Section | None:
     if own["criterion"].nunique() > 1 and not observed.empty:
         reference = str(observed.iloc[0])
         pairs = tabulate_pairs(tables.errors, reference, tables.part)
-        caption = f"Pose errors by those of {reference} with the same machines: the geometric mean over repeats."
+        caption = f"Pose errors over those of {reference}: geometric mean over repeats."
         figures.append(Figure("pairs", caption, partial(draw_paired, pairs[pairs["name"] != RANDOM], reference)))
     return make_section("Accuracy after calibration", text, (_tabulate_errors(summary),), figures, wide=True)
 
@@ -180,14 +185,16 @@ def _tabulate_errors(summary: pd.DataFrame) -> Table:
     columns += [Column("simulated ± sd", "µm", "Position, mean"), Column("rms", "tolerances", "Parameters")]
     columns.append(Column("failed"))
     rows = []
-    for _, row in summary.iterrows():
-        cells = [str(row["name"]), str(row["n_poses"])]
-        for part in ("position_um", "rotation_arcsec", "share_of_limits"):
-            cells.append(format_significant(row[f"predicted_{part}"], 3))
-            cells.append(format_estimate(row[f"simulated_{part}"], row[f"simulated_{part}_se"]))
-        cells.append(format_estimate(row["mean_position_um"], row["mean_position_um_sd"]))
-        cells += [format_significant(row["parameters_rms"], 3), str(row["n_failed"])]
-        rows.append(cells)
+    for row in CalibrationErrorSummaryRow.read(summary):
+        cells = [row.name, str(row.n_poses)]
+        for predicted, simulated, error in (
+            (row.predicted_position_um, row.simulated_position_um, row.simulated_position_um_se),
+            (row.predicted_rotation_arcsec, row.simulated_rotation_arcsec, row.simulated_rotation_arcsec_se),
+            (row.predicted_over_limits, row.simulated_over_limits, row.simulated_over_limits_se),
+        ):
+            cells += [format_significant(predicted, 3), format_estimate(simulated, error)]
+        cells.append(format_estimate(row.mean_position_um, row.mean_position_um_sd))
+        rows.append([*cells, format_significant(row.parameters_rms, 3), str(row.n_failed)])
     return make_table("Pose errors over the workspace after calibration, all repeats together.", columns, rows)
 
 
@@ -268,15 +275,15 @@ def draw_paired(table: pd.DataFrame, reference: str) -> plt.Figure:
     return figure
 
 
-def show_designs(tables: Tables) -> Section | None:
+def show_designs(tables: Tables) -> PageSection | None:
     """Return the observability indices of sets of poses that somebody else has chosen."""
     given, selections = tables.designs, tables["selections"]
     if given.empty:
         return None
     columns = [Column("Poses by", kind="text"), Column("Poses"), *(Column(name) for name in INDICES)]
     rows = []
-    for _, row in given.iterrows():
-        rows.append([str(row["label"]), str(row["n_poses"]), *(format_value(row[name]) for name in INDICES)])
+    for row in SelectionRow.read(given):
+        rows.append([row.label, str(row.n_poses), *(format_value(row.others[name]) for name in INDICES)])
     found = selections[(selections["criterion"] != DESIGN) & selections["n_poses"].isin(given["n_poses"])]
     for (label, criterion, n), group in found.groupby(["label", "criterion", "n_poses"], sort=False):
         cells = [format_spread(group[name].mean(), group[name].std()) for name in INDICES]
@@ -285,7 +292,7 @@ def show_designs(tables: Tables) -> Section | None:
     return make_section("Given sets of poses", (), (table,))
 
 
-def show_chosen(tables: Tables) -> Section | None:
+def show_chosen(tables: Tables) -> PageSection | None:
     """Return the criterion of every selection, and the time of one."""
     columns = [
         Column("Method", kind="text"),
@@ -299,26 +306,25 @@ def show_chosen(tables: Tables) -> Section | None:
     seconds = tables["timings"].groupby(["label", "criterion", "n_poses"])["seconds"].mean()
     rows = [
         [
-            str(row["label"]),
-            str(row["criterion"]),
-            str(row["n_poses"]),
-            format_value(row["best"]),
-            format_spread(row["mean"], row["sd"]),
-            str(row["repeats"]),
-            format_significant(float(seconds.loc[(row["label"], row["criterion"], row["n_poses"])]), 2),
+            row.label,
+            row.criterion,
+            str(row.n_poses),
+            format_value(row.best),
+            format_spread(row.mean, row.sd),
+            str(row.n_repeats),
+            format_significant(float(seconds.loc[(row.label, row.criterion, row.n_poses)]), 2),
         ]
-        for _, row in tables["selection_summary"].iterrows()
-        if row["criterion"] != DESIGN
+        for row in SelectionSummaryRow.read(tables["selection_summary"])
+        if row.criterion != DESIGN
     ]
     note = Statement(
-        "The best set of each row is in plans/, as a table of actuator displacements in mm that an audit's plan of "
-        "kind “file” reads; all poses are in poses.csv."
+        "The best set of each row is in plans/ (actuator displacements in mm); all poses are in poses.csv."
     )
     table = make_table("Every selection: the criterion, larger is better, and the time of one.", columns, rows)
-    return make_section("What was chosen", (), (table,), (), (note,))
+    return make_section("Selections", (), (table,), (), (note,))
 
 
-def show_method(tables: Tables) -> Section | None:
+def show_method(tables: Tables) -> PageSection | None:
     """Return the criteria and methods with their sources."""
     selections = tables["selections"]
     selections = selections[selections["criterion"] != DESIGN]
@@ -330,15 +336,7 @@ def show_method(tables: Tables) -> Section | None:
         "closure": "the closure, J_2",
     }[tables.config.jacobian]
     n_parameters = tables.results.summary["n_parameters"]
-    text: tuple[str, ...] = (
-        f"Indices O1 to O5 are those of the derivatives of {of}, by {n_parameters} parameters. "
-        "Repeats of the same number use the same candidates, start and machines for all ways to choose.",
-    )
-    if {"exchange", "continuous"} <= set(selections["method"]):
-        text += (
-            "Exchange knows nothing but its candidates, which may not reach the boundary; continuous optimisation "
-            "leaves them. With other candidates the order of the two may be another.",
-        )
+    text = (f"Indices O1 to O5: derivatives of {of}, by {n_parameters} parameters.",)
     tables_ = (
         make_table(
             "Criteria.",
@@ -347,17 +345,16 @@ def show_method(tables: Tables) -> Section | None:
         ),
         make_table("Methods.", [Column("Method", kind="text"), Column("Source", kind="text")], methods),
     )
-    return make_section("How it was computed", text, tables_)
+    return make_section("Method", text, tables_)
 
 
-def _describe_class(tables: Tables, what: str, name: str) -> tuple[str, str]:
-    """Return title and source of a criterion or a method; one of somebody else's is in the tables."""
-    built_in = (CRITERIA if what == "criterion" else METHODS).get(name)
+def _describe_class(tables: Tables, role: str, name: str) -> tuple[str, str]:
+    """Return title and source of a criterion or a method; a user-defined one is in the tables."""
+    built_in = (CRITERIA if role == "criterion" else METHODS).get(name)
     if built_in is not None:
         return built_in.title, built_in.source
-    classes = tables["classes"]
-    found = classes[(classes["what"] == what) & (classes["name"] == name)] if len(classes) else classes
-    return (name, "") if found.empty else (str(found["title"].iloc[0]), str(found["source"].iloc[0]))
+    found = [row for row in SelectionClassRow.read(tables["classes"]) if (row.role, row.name) == (role, name)]
+    return (found[0].title, found[0].source) if found else (name, "")
 
 
 def _describe_candidates(config: SelectionConfig, n_measured: int | None) -> str:
@@ -367,16 +364,16 @@ def _describe_candidates(config: SelectionConfig, n_measured: int | None) -> str
         "even": f"evenly on a grid of {section.levels} levels",
         "factorial": "on a full factorial",
     }
-    where = "the actuators' range" if config.domain.within == "actuators" else "the workspace"
+    where = "the actuators' range" if config.domain.kind == "actuators" else "the workspace"
     if config.domain.position_mm is not None and config.domain.rotation_deg is not None:
         position, rotation = (
             " × ".join(f"±{format_plain(x)}" for x in halves)
             for halves in (config.domain.position_mm, config.domain.rotation_deg)
         )
         where += f", {position} mm, {rotation} deg"
-    again = "; other ones in each repeat" if section.redraw else ""
+    again = "; other ones in each repeat" if section.resample else ""
     besides = "" if n_measured is None else f"; besides {n_measured} poses measured already"
-    return f"{section.count} {how[section.spread]} of {where}{again}{besides}"
+    return f"{section.count} {how[section.layout]} of {where}{again}{besides}"
 
 
 BLOCKS: tuple[PageBlock, ...] = (show_random_sets, show_accuracy, show_designs, show_chosen, show_method)
@@ -390,12 +387,13 @@ def build_page(
     headline: Callable[[Tables], str] = state_headline,
 ) -> Page:
     """Return the page of an experiment's results: parts and judgements in their order, and a headline of them."""
+    check_tables(ROWS, tables.results.tables, tables.results.folder or Path())
     config, summary = tables.config, tables.results.summary
     return Page(
         KIND,
         config.name,
         config.title,
-        name_origin(config.origin.model_dump()),
+        name_origin(config.provenance.model_dump()),
         headline(tables),
         tuple(state_verdict(tables, judgements)),
         show_sections(blocks, tables),
@@ -403,4 +401,5 @@ def build_page(
             ("Machine", summary["machine"]),
             ("Candidates", _describe_candidates(config, summary["n_measured"])),
         ),
+        key_figures=tuple(list_key_figures(tables)),
     )

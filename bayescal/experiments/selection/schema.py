@@ -5,8 +5,8 @@ Tolerances and requirements are in the units of [units]; all other keys carry th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -14,7 +14,7 @@ from bayescal.config.classes import ClassMark, OwnSection, label_class
 from bayescal.config.load import OWN
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section, check_once
 from bayescal.density.schema import FixedConfig, PriorConfig
-from bayescal.experiments.shared.readings.schema import OriginConfig
+from bayescal.experiments.shared.readings.schema import ProvenanceConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
     DeformationConfig,
@@ -37,7 +37,7 @@ type CriterionName = Annotated[str, ClassMark("CRITERIA")]
 class WorkspaceDomainConfig(Section):
     """A box of displacements and rotation vectors about home; the actuators' range is kept."""
 
-    within: Literal["workspace"]
+    kind: Literal["workspace"]
     """`"workspace"`."""
     position_mm: Extent
     """Half widths of displacements about home."""
@@ -48,7 +48,7 @@ class WorkspaceDomainConfig(Section):
 class ActuatorDomainConfig(Section):
     """The actuators' range; with half widths about home the poses stay within these too."""
 
-    within: Literal["actuators"]
+    kind: Literal["actuators"]
     """`"actuators"`."""
     position_mm: Extent | None = None
     """Half widths of displacements about home that are kept too."""
@@ -62,23 +62,23 @@ class ActuatorDomainConfig(Section):
         return self
 
 
-type DomainConfig = Annotated[WorkspaceDomainConfig | ActuatorDomainConfig, Field(discriminator="within")]
+type DomainConfig = Annotated[WorkspaceDomainConfig | ActuatorDomainConfig, Field(discriminator="kind")]
 
 
 class CandidatesConfig(Section):
     """Poses to choose from: on an even grid, at random, or a full factorial, topped up."""
 
-    spread: Literal["even", "random", "factorial"] = "random"
+    layout: Literal["even", "random", "factorial"] = "random"
     """How candidates lie: on an `even` grid, at `random`, or `factorial`."""
     count: Annotated[int, Field(ge=1, le=1_000_000)] = 2000
     """Number of candidates."""
     levels: Annotated[int, Field(ge=2, le=1000)] = 11
     """Levels of each actuator of a full factorial."""
-    redraw: bool = False
+    resample: bool = False
     """Whether each repeat has candidates of its own."""
 
 
-class TableConfig(Section):
+class ActuatorTableConfig(Section):
     """Actuator displacements from a CSV table, one row a pose."""
 
     configurations: InputFile
@@ -87,7 +87,7 @@ class TableConfig(Section):
     """Unit of its numbers."""
 
 
-class DesignConfig(TableConfig):
+class DesignConfig(ActuatorTableConfig):
     """Poses that somebody else has chosen, to be judged beside those found."""
 
     name: Name
@@ -137,7 +137,7 @@ class TabuChoiceConfig(ChoiceConfig):
     """Length of the tabu list."""
     iterations: Count = 219
     """Number of iterations."""
-    leave: bool = False
+    forbid_immediate_removal: bool = False
     """Whether the pose just added must stay, so that the set may become worse for a while."""
 
 
@@ -203,8 +203,8 @@ class CalibrationsConfig(Section):
 
     machines: Annotated[int, Field(ge=2, le=10_000)] = 20
     """Number of machines drawn within the tolerances."""
-    known: bool = True
-    """Whether the identification knows the tolerances; else it is least squares, weighted by the noise."""
+    use_priors: bool = True
+    """Whether the identification uses the tolerances as priors; else it is least squares, weighted by the noise."""
 
 
 class MeasuredModelConfig(ModelConfig):
@@ -217,11 +217,9 @@ class MeasuredModelConfig(ModelConfig):
 class SelectionConfig(ExperimentConfig):
     """An experiment on pose selection."""
 
-    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine", "measured_by": "[variant] with sensors"}
-
     kind: Literal["selection"]
     """`"selection"`."""
-    origin: OriginConfig
+    provenance: ProvenanceConfig
     """Where machine and numbers come from."""
     machine: InputFile
     """The mechanism's TOML file."""
@@ -251,7 +249,7 @@ class SelectionConfig(ExperimentConfig):
     """Methods, with criteria and numbers of poses."""
     designs: list[DesignConfig] = Field(default=[])
     """Sets of poses that somebody else has chosen."""
-    measured: TableConfig | None = None
+    measured: ActuatorTableConfig | None = None
     """Poses that are measured already and count."""
     calibrations: CalibrationsConfig | None = None
     """Simulated calibrations with the poses found."""

@@ -12,18 +12,19 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.selection.compute import DESIGN, RANDOM
+from bayescal.experiments.selection.rows import CalibrationErrorSummaryRow, SelectionRow, SelectionSummaryRow
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.pose_selection import CRITERIA
-from bayescal.report.blocks import Level, Statement
+from bayescal.report.blocks import KeyFigure, Level, Statement
 from bayescal.report.numbers import (
     format_estimate,
     format_fixed,
-    format_percent,
     format_significant,
     format_span,
     join_words,
+    name_some,
 )
 
 FIRST_ORDER = 0.2
@@ -56,12 +57,12 @@ class Tables:
     @property
     def metric(self) -> str:
         """Column of ``errors`` by which ways to choose are ranked."""
-        return "simulated_share_of_limits" if self.config.requirements.is_any else "mean_position_um"
+        return "simulated_over_limits" if self.config.requirements.is_any else "mean_position_um"
 
     @property
     def part(self) -> str:
         """What of a pose is compared, simulated and predicted."""
-        return "share_of_limits" if self.config.requirements.is_any else "position_um"
+        return "over_limits" if self.config.requirements.is_any else "position_um"
 
     @property
     def numbers(self) -> list[int]:
@@ -123,8 +124,8 @@ def state_headline(tables: Tables) -> str:
     """Return the main result in one sentence."""
     if not tables["errors"].empty:
         return _recommend(tables)
-    best = tables["selection_summary"].sort_values("best").iloc[-1]
-    return f"Best {best['criterion']} of {best['n_poses']} poses: {format_significant(best['best'], 4)}."
+    best = max(SelectionSummaryRow.read(tables["selection_summary"]), key=lambda row: row.best)
+    return f"Best {best.criterion} of {best.n_poses} poses: {format_significant(best.best, 4)}."
 
 
 def judge_methods(tables: Tables) -> list[Statement]:
@@ -141,9 +142,11 @@ def judge_methods(tables: Tables) -> list[Statement]:
         more, same, n = int((gains > 1e-9).sum()), int((gains.abs() <= 1e-9).sum()), len(gains)
         if n:
             clear = more + same == n or more >= 0.9 * n
-            words = f"{one} finds more than {other} in {more} of {n} pairs of the same candidates and start"
-            words += f", as much in {same}; half of the pairs gain above {format_percent(float(gains.median()), 2)}"
-            statements.append(Statement(f"{words}.", "good" if clear else "warning", "Methods"))
+            median = 100.0 * float(gains.median())
+            words = f"{one} exceeds {other} in {more} of {n} pairs, equal in {same}; median gain"
+            words += f" {format_fixed(median, 2)} %."
+            level: Level = "good" if clear else "warning"
+            statements.append(Statement(words, level, "Methods", value=median, limit=0.0, unit="%"))
     return statements
 
 
@@ -151,14 +154,11 @@ def judge_order(tables: Tables) -> list[Statement]:
     """Return the ways from the best to the worst, at each number of poses."""
     statements = []
     for n in tables.numbers:
-        ranked = rank_ways(tables.errors, n, tables.metric)
-        words, unclear = [ranked[0][0]], 0
-        for name, ratio in ranked[1:]:
-            assert ratio is not None
-            unclear += not ratio.clear
-            words.append(f"{name} ({_say(ratio)} times the one before{'' if ratio.clear else ', within the scatter'})")
-        level: Level = "warning" if unclear else "good"
-        statements.append(Statement(f"from best to worst: {', '.join(words)}.", level, f"Order with {n} poses"))
+        (first, _), (second, ratio) = rank_ways(tables.errors, n, tables.metric)[:2]
+        assert ratio is not None
+        text = f"{first} is best; the error of {second} is {_say(ratio)} times as large."
+        level: Level = "good" if ratio.clear else "warning"
+        statements.append(Statement(text, level, f"Best of {n} poses", value=ratio.value, limit=1.0))
     return statements
 
 
@@ -176,10 +176,9 @@ def judge_criteria(tables: Tables) -> list[Statement]:
         simulated, predicted = (
             pair_errors(errors, one, other, n, f"{what}_{tables.part}") for what in ("simulated", "predicted")
         )
-        words = f"simulated error {_say(simulated)} times that of O1, predicted {_say(predicted)} times"
-        words += "" if simulated.clear else "; the simulated difference is within the scatter"
+        words = f"Error of I-optimal poses / O1-optimal: simulated {_say(simulated)}, predicted {_say(predicted)}."
         level: Level = "good" if simulated.clear and simulated.value < 1.0 else "warning"
-        statements.append(Statement(f"{words}.", level, f"I against O1 with {n} poses"))
+        statements.append(Statement(words, level, f"I against O1 with {n} poses", value=simulated.value, limit=1.0))
     return statements
 
 
@@ -188,22 +187,21 @@ def judge_designs(tables: Tables) -> list[Statement]:
     if tables["errors"].empty:
         return []
     statements = []
-    selections, summary = tables["selections"], tables["error_summary"].set_index("name")
-    for _, design in tables.designs.iterrows():
-        n = int(design["n_poses"])
-        own = selections[(selections["criterion"] == "O1") & (selections["n_poses"] == n)]
+    selections = tables["selections"]
+    for design in SelectionRow.read(tables.designs):
+        own = selections[(selections["criterion"] == "O1") & (selections["n_poses"] == design.n_poses)]
         if own.empty:
             continue
-        parts = [
-            f"{format_significant(rows['O1'].mean(), 4)} of {label}" for label, rows in own.groupby("label", sort=False)
-        ]
-        words = f"its O1 is {format_significant(design['O1'], 4)}, beside {join_words(parts)}"
-        rows = summary.loc[summary["n_poses"] == n, ["mean_position_um", "mean_position_um_sd"]].astype(float)
-        errors = [f"{name} {format_estimate(*rows.loc[name])}" for name in [design["label"], *own["label"].unique()]]
-        words += f"; position error in µm: {join_words(errors)}"
-        best = float(own["O1"].max())
-        level: Level = "good" if design["O1"] >= 0.9 * best else "warning"
-        statements.append(Statement(f"{words}.", level, f"Design {design['label']}"))
+        best, index = own.groupby("label", sort=False)["O1"].mean().max(), design.others["O1"]
+        words = f"O1 index {format_significant(index, 4)}; best found here {format_significant(best, 4)}."
+        level: Level = "good" if index >= 0.9 * float(own["O1"].max()) else "warning"
+        lead = f"Design {design.label}"
+        statements.append(Statement(words, level, lead, value=index, limit=float(best)))
+        rows = CalibrationErrorSummaryRow.read(tables["error_summary"])
+        row = next(one for one in rows if (one.name, one.n_poses) == (design.label, design.n_poses))
+        mean, sd = row.mean_position_um, row.mean_position_um_sd
+        words = f"Mean position error {format_estimate(mean, sd)} µm."
+        statements.append(Statement(words, "plain", lead, value=mean, unit="µm"))
     return statements
 
 
@@ -215,20 +213,45 @@ def judge_prediction(tables: Tables) -> list[Statement]:
     ratio = table[f"simulated_{tables.part}"] / table[f"predicted_{tables.part}"]
     off = table.loc[(ratio - 1.0).abs() > FIRST_ORDER, "n_poses"]
     few = table["n_poses"] <= (off.max() if len(off) else 0)
-    words = "simulated errors are "
-    if not few.all():
-        words += f"{format_span(list(ratio[~few]), 2)} times those predicted to first order"
-        words += f" with {table.loc[~few, 'n_poses'].min()} poses or more" if few.any() else ""
-    if few.any():
-        words += f"{'' if few.all() else ', '}{format_span(list(ratio[few]), 2)} times"
-        words += " those predicted to first order" if few.all() else " with fewer, where the first order does not hold"
+    found = list[Statement]()
+    sides: tuple[tuple[pd.Series, Level, str], ...] = ((~few, "good", "or more"), (few, "warning", "or fewer"))
+    for chosen, level, which in sides:
+        if chosen.any():
+            n = table.loc[chosen, "n_poses"]
+            span, at = format_span(list(ratio[chosen]), 2), n.min() if level == "good" else n.max()
+            text = f"Simulated errors / first-order prediction: {span} with {at} poses {which}."
+            worst = float(ratio[chosen].iloc[int((ratio[chosen] - 1.0).abs().argmax())])
+            found.append(Statement(text, level, "Prediction", value=worst, limit=1.0))
     failed = errors.groupby("name", sort=False)["n_failed"].sum()
     if failed.any():
         total = int(failed.sum() + errors["n_machines"].sum())
-        parts = join_words([f"{count} of {name}" for name, count in failed.items() if count])
-        words += f"; {failed.sum()} of {total} machines could not be identified and count in nothing: {parts}"
-    good = not few.any() and not failed.any()
-    return [Statement(f"{words}.", "good" if good else "warning", "Prediction")]
+        parts = name_some([f"{name} ({count})" for name, count in failed.items() if count])
+        text = f"{failed.sum()} of {total} fits failed (excluded): {parts}."
+        found.append(Statement(text, "warning", "Prediction", value=int(failed.sum()), limit=0.0))
+    return found
+
+
+def list_key_figures(tables: Tables) -> list[KeyFigure]:
+    """Return the best way to choose poses and its errors, or the best criterion of a selection, and what was tried."""
+    selections, summary = tables["selections"], SelectionSummaryRow.read(tables["selection_summary"])
+    best = max(summary, key=lambda row: row.best)
+    found = [
+        KeyFigure("Parameters", str(tables.results.summary["n_parameters"])),
+        KeyFigure("Selections", str(len(selections))),
+        KeyFigure(f"Best {best.criterion} of {best.n_poses} poses", format_significant(best.best, 4)),
+    ]
+    if tables.numbers:
+        n = tables.numbers[-1]
+        ranked = rank_ways(tables.errors, n, tables.metric)
+        ratio = ranked[1][1]
+        assert ratio is not None
+        level: Level = "good" if ratio.clear else "warning"
+        found.append(KeyFigure(f"Best of {n} poses", ranked[0][0], f"next: × {format_fixed(ratio.value, 3)}", level))
+        rows = CalibrationErrorSummaryRow.read(tables["error_summary"])
+        row = next(one for one in rows if (one.name, one.n_poses) == (ranked[0][0], n))
+        error = format_estimate(row.mean_position_um, row.mean_position_um_sd)
+        found.append(KeyFigure("its mean position error", error, "µm"))
+    return found if len(found) > 3 else [*found, KeyFigure("Criteria", str(selections["criterion"].nunique()))]
 
 
 JUDGEMENTS: tuple[Judgement, ...] = (judge_methods, judge_order, judge_criteria, judge_designs, judge_prediction)
@@ -236,7 +259,7 @@ JUDGEMENTS: tuple[Judgement, ...] = (judge_methods, judge_order, judge_criteria,
 
 
 def _recommend(tables: Tables) -> str:
-    """Return which way is recommended, and with which numbers of poses it is the best beyond the scatter."""
+    """Return which way is recommended, and by how much it is better than the next."""
     ranked = {n: rank_ways(tables.errors, n, tables.metric) for n in tables.numbers}
     if not ranked:
         return "One way to choose poses was tried."
@@ -245,19 +268,15 @@ def _recommend(tables: Tables) -> str:
     ahead = {n: order[1][1] for n, order in ranked.items() if order[0][0] == best}
     clear = {n: ratio.value for n, ratio in ahead.items() if ratio is not None and ratio.clear}
     poses = f"{best}-optimal poses" if best in CRITERIA else f"poses by “{best}”"
-    error = "mean position error over the workspace"
-    if tables.config.requirements.is_any:
-        error = "root mean square pose error over the workspace, in units of the limits"
-    words = f"Use {poses}, with the smallest {error}, with {join_words([str(n) for n in ahead])} poses"
+    error = "pose error over the workspace (rms, of the limits)"
+    if not tables.config.requirements.is_any:
+        error = "mean position error over the workspace"
+    words = f"Use {poses}: smallest {error} with {join_words([str(n) for n in ahead])} poses."
     if not clear:
-        return f"{words}, though within the scatter of the next."
-    gains = [100.0 * (value - 1.0) for value in clear.values()]
-    which = (
-        "beyond the scatter"
-        if len(clear) == len(ahead)
-        else f"beyond the scatter with {join_words([str(n) for n in clear])}"
-    )
-    return f"{words}; {which}, the error of the next being {format_span(gains)} % larger."
+        return f"{words} The next is within the scatter."
+    gains = format_span([100.0 * (value - 1.0) for value in clear.values()])
+    which = "" if len(clear) == len(ahead) else f" with {join_words([str(n) for n in clear])} poses"
+    return f"{words} The error of the next is {gains} % larger{which}."
 
 
 def _say(ratio: Ratio) -> str:

@@ -6,28 +6,40 @@ Scales by importance sampling, states in closed form, both compared with the exa
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pandas as pd
 from scipy.special import logsumexp
 
 from bayescal.density.sessions import LinearSessions, SessionModel, find_state
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs, find_motions
+from bayescal.experiments.sessions.rows import (
+    ChannelMotionRow,
+    DriftModelRow,
+    DriftScaleRow,
+    ExpansionRow,
+    LegMotionRow,
+    SessionErrorRow,
+    SessionParameterRow,
+    SessionRow,
+    SessionShiftRow,
+)
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.inference.scales import Scales, find_scales_mode, keep_by_weight, sample_scales
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 ALL, NONE = "drift", "no drift"
-STILL = "still: "
+NO_MOTION_PREFIX = "still: "
 LOW, HIGH = 0.05, 0.95
 SHIFT_ARCSEC = 20.0
-ALIKE = 0.99  # share of effective draws from which on weights hardly differ
+EVEN_WEIGHTS_EFFICIENCY = 0.99  # share of effective draws from which on weights hardly differ
 ROUNDS = 2  # of linearising at the state that the scales want
 HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 
@@ -40,35 +52,45 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
     units = model.drift.units
     tasks: dict[str, tuple[str, ...]] = {ALL: units, NONE: ()}
     if len(units) > 1:  # a single one held still is no drift at all
-        tasks |= {f"{STILL}{one}": tuple(other for other in units if other != one) for one in units}
+        tasks |= {f"{NO_MOTION_PREFIX}{one}": tuple(other for other in units if other != one) for one in units}
     fits = run.map("sessions", _fit, (model, config.draws, config.seed), tasks, (SessionFit,))
-    tables = tabulate(Found(inputs, fits[ALL]))
     # of each unit, at even prior odds, that it moves against that it does not, the others free to move
-    still = [fits.get(f"{STILL}{one}", fits[NONE]) for one in units]
-    tables["scales"]["log_odds_moved"] = [fits[ALL].log_evidence - one.log_evidence for one in still]
-    rows = [(name, fit.log_evidence, fit.standard_error, *map(float, fit.quality)) for name, fit in fits.items()]
-    columns = ["model", "log_evidence", "se", "efficiency", "pareto_k", "exact_efficiency", "exact_pareto_k"]
-    tables["models"] = pd.DataFrame(rows, columns=columns)
+    still = [fits.get(f"{NO_MOTION_PREFIX}{one}", fits[NONE]) for one in units]
+    moved = [fits[ALL].log_evidence - one.log_evidence for one in still]
+    tables = tabulate(SessionsPosterior(inputs, fits[ALL]), moved)
+    models = [
+        DriftModelRow(
+            model=name,
+            log_evidence=fit.log_evidence,
+            se=fit.standard_error,
+            efficiency=float(fit.quality[0]),
+            pareto_k=float(fit.quality[1]),
+            exact_efficiency=float(fit.quality[2]),
+            exact_pareto_k=float(fit.quality[3]),
+        )
+        for name, fit in fits.items()
+    ]
+    tables["models"] = DriftModelRow.collect(models)
     drift = fits[ALL].log_evidence - fits[NONE].log_evidence
     summary: dict[str, Any] = {
         "name": config.name,
         "title": config.title,
         "study": config.study,
-        "variant": config.variant,
-        "data_origin": name_origin(config.origin.model_dump()),
-        "hierarchy": config.drift.hierarchy,
+        "variant": inputs.first.name,
+        "data_origin": name_origin(config.provenance.model_dump()),
+        "drift_model": config.drift.model,
         "symbols": config.drift.symbols,
-        "per_leg": config.drift.per_leg,
-        "shift_um": config.shift_um,
-        **({} if inputs.by_leg else {"shift_arcsec": config.shift_arcsec or SHIFT_ARCSEC}),
+        "separate_by_leg": config.drift.separate_by_leg,
+        "motion_limit_um": config.motion_limit_um,
+        **({} if inputs.is_leg_mechanism else {"motion_limit_arcsec": config.motion_limit_arcsec or SHIFT_ARCSEC}),
         "has_temperature": config.thermal is not None,
         "n_sessions": model.n_sessions,
         "n_poses": int(inputs.n_poses.sum()),
         "n_parameters": len(model.mean),
         "log_evidence_drift": drift,
         "log_evidence_drift_se": float(np.hypot(fits[ALL].standard_error, fits[NONE].standard_error)),
-        "sound": {name: fit.is_sound for name, fit in fits.items()},
-        **({"denied_slips": inputs.denied} if inputs.denied else {}),
+        "reliable": {name: fit.is_reliable for name, fit in fits.items()},
+        **({"ignored_data_errors": inputs.denied} if inputs.denied else {}),
     }
     return Results(summary, tables)
 
@@ -80,7 +102,7 @@ def _fit(shared: Task, units: tuple[str, ...]) -> SessionFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SessionsPosterior:
     """Sessions and the draws of their posterior."""
 
     inputs: SessionsInputs
@@ -108,14 +130,14 @@ class Found:
         """Coefficients α, shape (T, A), 1/K."""
         return self._states[1]
 
-    def list_moves(self) -> list[tuple[dict[str, str], Array, Array]]:
+    def list_moves(self) -> list[tuple[SessionPair, Array, Array]]:
         """Return which sessions are compared, and by how much parameters moved between them, shape (T, m).
 
         By the posterior and by the prior. Neighbours, then first and last; machines with the mean of all.
         """
         n, labels = self.inputs.model.n_sessions, self.inputs.labels
         x, before = self.parameters, self.expected
-        if self.inputs.config.drift.hierarchy == "machines":
+        if self.inputs.config.drift.model == "population":
             off, apart = x - x.mean(axis=1, keepdims=True), before - before.mean(axis=1, keepdims=True)
             return [({"since": "mean", "session": labels[k]}, off[:, k], apart[:, k]) for k in range(n)]
         pairs = [(k - 1, k) for k in range(1, n)] + ([(0, n - 1)] if n > 2 else [])
@@ -124,20 +146,41 @@ class Found:
             for i, j in pairs
         ]
 
-    def compare(
-        self, ends: dict[str, str], what: dict[str, Any], draws: Array, expected: Array, unit: str
-    ) -> dict[str, Any]:
-        """Return a row of what moved between two sessions by draws (T,), and how probably beyond the limit.
-
-        ``learnt`` is the share of the prior's 90 % interval, by draws of it (T,), that the data take off.
-        """
+    def measure_shift(self, draws: Array, expected: Array, unit: str) -> ShiftColumns:
+        """Return the columns of a shift between two sessions by draws (T,) of the posterior and of the prior."""
         config, (shown, size) = self.inputs.config, show_in(unit)
-        limit = {"mm": config.shift_um, "rad": config.shift_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
-        beyond = float(np.mean(np.abs(draws) > limit * size))
-        shown_in = {} if self.inputs.by_leg else {"unit": shown}
+        limit = {"mm": config.motion_limit_um, "rad": config.motion_limit_arcsec or SHIFT_ARCSEC}.get(unit, np.inf)
         before, after = (float(np.ptp(np.quantile(one, [LOW, HIGH]))) for one in (expected, draws))
-        learnt = 1.0 - after / before if before > 0.0 else 1.0
-        return {**ends, **what, **shown_in, **_describe(draws, size), "beyond": beyond, "learnt": learnt}
+        return {
+            **_describe(draws, size),
+            "unit": None if self.inputs.is_leg_mechanism else shown,
+            "p_exceeds_limit": float(np.mean(np.abs(draws) > limit * size)),
+            "interval_reduction": 1.0 - after / before if before > 0.0 else 1.0,
+        }
+
+
+class SessionPair(TypedDict):
+    """Columns that name the sessions compared."""
+
+    since: str
+    session: str
+
+
+class DrawColumns(TypedDict):
+    """Columns that describe draws."""
+
+    mean: float
+    sd: float
+    q05: float
+    q95: float
+
+
+class ShiftColumns(DrawColumns):
+    """Columns of a shift; see `SessionShiftRow`."""
+
+    unit: str | None
+    p_exceeds_limit: float
+    interval_reduction: float
 
 
 def show_in(unit: str) -> tuple[str, float]:
@@ -145,81 +188,93 @@ def show_in(unit: str) -> tuple[str, float]:
     return UNITS.get(unit, (unit, 1.0))
 
 
-def tabulate(found: Found) -> dict[str, pd.DataFrame]:
-    """Return all tables of sessions."""
-    inputs = found.inputs
-    days = [np.nan if one.day is None else one.day for one in inputs.config.sessions]
-    measured = {"session": inputs.labels, "day": days, "n_poses": inputs.n_poses}
-    own = inputs.first.posterior.errors
-    sizes, shown = own.natural(inputs.model.read_scales(found.fit.zeta)[0]), [show_in(one) for one in own.units]
-    errors = [
-        {"error": name, "in": unit, **_describe(sizes[:, k], size)}
-        for k, (name, (unit, size)) in enumerate(zip(own.names, shown, strict=True))
-    ]
-    motions, nothing, model = _tabulate_motions(found), pd.DataFrame(), inputs.model
-    shifts = [
-        found.compare(ends, {"parameter": model.names[k]}, moved[:, k], expected[:, k], model.units[k])
-        for ends, moved, expected in found.list_moves()
-        for k in model.drift.index
-    ]
-    return {
-        "sessions": pd.DataFrame({**measured, "temperature_celsius": inputs.temperature}),
-        "scales": _tabulate_scales(found),
-        "legs": motions if inputs.by_leg else nothing,
-        "channels": nothing if inputs.by_leg else motions,
-        "shifts": pd.DataFrame(shifts),
-        "parameters": _tabulate_parameters(found),
-        "expansion": _tabulate_expansion(found),
-        "model_error": pd.DataFrame(errors),
-    }
-
-
-def _describe(draws: Array, unit: float) -> dict[str, float]:
-    """Return mean, standard deviation and 90 % interval of draws (T,), in a unit."""
-    low, high = np.quantile(draws / unit, [LOW, HIGH])
-    return {"mean": draws.mean() / unit, "sd": draws.std(ddof=1) / unit, "q05": low, "q95": high}
-
-
-def _tabulate_scales(found: Found) -> pd.DataFrame:
-    model, rows = found.inputs.model, []
-    sigma = model.read_scales(found.fit.zeta)[1]
+def tabulate(found: SessionsPosterior, log_bayes_factors: Sequence[float]) -> dict[str, pd.DataFrame]:
+    """Return all tables of sessions; the factors are those of `DriftScaleRow`, a drift scale each."""
+    inputs, model = found.inputs, found.inputs.model
+    own, x = inputs.first.posterior.errors, found.parameters
+    sizes, sigma = own.natural(model.read_scales(found.fit.zeta)[0]), model.read_scales(found.fit.zeta)[1]
+    legs, channels = _list_motions(found)
+    sessions = SessionRow.tabulate(
+        session=inputs.labels,
+        time_days=[np.nan if one.time_days is None else one.time_days for one in inputs.config.sessions],
+        n_poses=inputs.n_poses,
+        temperature_celsius=inputs.temperature,
+    )
+    scales = list[DriftScaleRow]()
     for k, name in enumerate(model.drift.units):
         first = int(np.argmax(model.drift.unit == k))  # of what moves with this scale
         shown, size = show_in(model.units[model.drift.index[first]])
-        row = {"unit": name, **_describe(sigma[:, k], size)}
-        rows.append(row if found.inputs.by_leg else {**row, "in": shown})
-    return pd.DataFrame(rows)
+        unit = None if inputs.is_leg_mechanism else shown
+        row = DriftScaleRow(
+            parameter_group=name,
+            unit=unit,
+            log_bayes_factor_moved=log_bayes_factors[k],
+            **_describe(sigma[:, k], size),
+        )
+        scales.append(row)
+    shifts = [
+        SessionShiftRow(
+            parameter=model.names[k], **ends, **found.measure_shift(moved[:, k], expected[:, k], model.units[k])
+        )
+        for ends, moved, expected in found.list_moves()
+        for k in model.drift.index
+    ]
+    parameters = [
+        SessionParameterRow.tabulate(
+            session=label,
+            parameter=model.names,
+            mean=x[:, s].mean(axis=0),
+            sd=x[:, s].std(axis=0, ddof=1),
+            prior_sd=model.sd,
+        )
+        for s, label in enumerate(inputs.labels)
+    ]
+    expansion = [
+        ExpansionRow(
+            body=one.name,
+            prior_mean=one.mean / PPM,
+            prior_sd=one.sd / PPM,
+            **_describe(found.expansion[:, k], PPM),
+        )
+        for k, one in enumerate(model.expansions)
+    ]
+    errors = [
+        SessionErrorRow(error=name, unit=unit, **_describe(sizes[:, k], size))
+        for k, (name, (unit, size)) in enumerate(zip(own.names, map(show_in, own.units), strict=True))
+    ]
+    return {
+        "sessions": sessions,
+        "scales": DriftScaleRow.collect(scales),
+        "legs": LegMotionRow.collect(legs),
+        "channels": ChannelMotionRow.collect(channels),
+        "shifts": SessionShiftRow.collect(shifts),
+        "parameters": pd.concat(parameters, ignore_index=True),
+        "expansion": ExpansionRow.collect(expansion),
+        "model_error": SessionErrorRow.collect(errors),
+    }
 
 
-def _tabulate_motions(found: Found) -> pd.DataFrame:
-    """Return what free parameters do to each leg, or to each channel, at home."""
-    rows, model, x = [], found.inputs.model, found.parameters.mean(axis=(0, 1))
+def _describe(draws: Array, unit: float) -> DrawColumns:
+    """Return mean, standard deviation and 90 % interval of draws (T,), in a unit."""
+    low, high = np.quantile(draws / unit, [LOW, HIGH])
+    return {"mean": draws.mean() / unit, "sd": draws.std(ddof=1) / unit, "q05": float(low), "q95": float(high)}
+
+
+def _list_motions(found: SessionsPosterior) -> tuple[list[LegMotionRow], list[ChannelMotionRow]]:
+    """Return what free parameters do to each leg, or to each channel, at home; one of the lists is empty."""
+    legs, channels = list[LegMotionRow](), list[ChannelMotionRow]()
+    model, x = found.inputs.model, found.parameters.mean(axis=(0, 1))
     start = model.start + (x - model.mean) @ model.moves
     names, units, slope = find_motions(found.inputs.first, start, model.moves)
     for ends, moved, expected in found.list_moves():
         by, before = moved @ slope.T, expected @ slope.T
         for k, (name, unit) in enumerate(zip(names, units, strict=True)):
-            what = {"leg": k + 1} if found.inputs.by_leg else {"channel": name}
-            rows.append(found.compare(ends, what, by[:, k], before[:, k], unit))
-    return pd.DataFrame(rows)
-
-
-def _tabulate_parameters(found: Found) -> pd.DataFrame:
-    x, model = found.parameters, found.inputs.model
-    rows = []
-    for s, label in enumerate(found.inputs.labels):
-        for k, name in enumerate(model.names):
-            one = {"mean": x[:, s, k].mean(), "sd": x[:, s, k].std(ddof=1)}
-            rows.append({"session": label, "parameter": name, **one, "prior_sd": model.sd[k]})
-    return pd.DataFrame(rows)
-
-
-def _tabulate_expansion(found: Found) -> pd.DataFrame:
-    rows = []
-    for k, one in enumerate(found.inputs.model.expansions):
-        prior = {"prior_mean": one.mean / PPM, "prior_sd": one.sd / PPM}
-        rows.append({"body": one.name, **prior, **_describe(found.expansion[:, k], PPM)})
-    return pd.DataFrame(rows, columns=["body", "prior_mean", "prior_sd", "mean", "sd", "q05", "q95"])
+            shift = found.measure_shift(by[:, k], before[:, k], unit)
+            if found.inputs.is_leg_mechanism:
+                legs.append(LegMotionRow(leg=k + 1, **ends, **shift))
+            else:
+                channels.append(ChannelMotionRow(channel=name, **ends, **shift))
+    return legs, channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,9 +292,9 @@ class SessionFit:
     z: Array  # (T, n)
 
     @property
-    def is_sound(self) -> bool:
-        """Whether no weights have too heavy a tail; of weights that are all alike the tail does not matter."""
-        return all(share > ALIKE or k <= PARETO_K_LIMIT for share, k in self.quality.reshape(2, 2))
+    def is_reliable(self) -> bool:
+        """Whether no weights have too heavy a tail; of weights that are all equal the tail does not matter."""
+        return all(share > EVEN_WEIGHTS_EFFICIENCY or k <= PARETO_K_LIMIT for share, k in self.quality.reshape(2, 2))
 
 
 def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) -> SessionFit:
@@ -286,6 +341,6 @@ def _draw_states(linear: LinearSessions, scales: Scales, rng: np.random.Generato
     values = np.empty(len(scales.draws))
     for k, zeta in enumerate(scales.draws):
         errors, sigma = model.read_scales(zeta)
-        draws.append(linear.condition(errors, sigma).draw(rng.standard_normal(model.size)))
+        draws.append(linear.condition(errors, sigma).draw(rng.standard_normal((model.size, 1)))[:, 0])
         values[k] = linear.log_likelihood(draws[-1], errors, sigma)
     return np.array(draws), values

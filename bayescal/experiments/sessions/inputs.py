@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
+from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm
 from bayescal.density.calibration.terms import ErrorTerm
+from bayescal.density.pose_kernels import KernelInput
 from bayescal.density.priors import NormalPrior
-from bayescal.density.sessions import Drift, Expansion, Part, ReadingRows, SessionModel, walk_loadings
-from bayescal.density.sorts import Place
+from bayescal.density.sessions import DriftModel, Part, ReadingRows, SessionModel, ThermalExpansion, walk_loadings
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
-from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.measured import MeasuredReadings, check_measures, choose_variant, measure_variants
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
@@ -37,7 +37,7 @@ MOST_UNITS = 24
 UNITS = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
 """What motions are told in, by the unit of what moves."""
 FILES = ("targets", "poses", "actuators", "reference")
-FAR = 20.0
+MAX_DRIFT_SCALES = 20.0
 """Prior scales of the drift, over the time that went by, that legs of one machine are never off."""
 WARM = 0.1
 """Millimetres that a leg may be off besides, by temperature, noise and model error."""
@@ -60,7 +60,7 @@ class SessionsInputs:
         return [one.label for one in self.config.sessions]
 
     @property
-    def by_leg(self) -> bool:
+    def is_leg_mechanism(self) -> bool:
         """Whether what moved is stated by leg."""
         return isinstance(self.first.posterior.likelihood.model, Legs)
 
@@ -80,10 +80,10 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
     drift = _build_drift(config, first)
     expansions = _build_expansions(config.thermal, first.posterior.likelihood.model.layout)
-    functions = [one for one in first.posterior.errors.terms if isinstance(one, FunctionsOfPose)]
-    lasting = tuple(config.drift.hierarchy == "walk" and one.sort != DRIFT for one in functions)
+    functions = [one for one in first.posterior.errors.terms if isinstance(one, GPTerm)]
+    lasting = tuple(config.drift.model == "random_walk" and one.sort != DRIFT for one in functions)
     model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions, lasting)
-    if config.drift.hierarchy == "walk":
+    if config.drift.model == "random_walk":
         check_same_machine(model, measured, [one.label for one in config.sessions])
     mean_temperature = np.array([np.nan if one is None else one.mean() for one in warmth])
     n_poses = np.array([one.posterior.likelihood.data.n_poses for one in measured])
@@ -95,12 +95,12 @@ def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | Non
 
     InputError where a slip explains a session many times better: joined to others it would pass for drift.
     """
-    denied = {*session.denied_slips, *measured.denied}
+    denied = {*session.ignored_data_errors, *measured.denied}
     slip = find_slip([measured.readings], denied)
     if slip is not None:
         raise InputError(
             f"session {session.label!r}: found data that no machine within the tolerances comes near, expected this "
-            f"machine's; {slip.say()}{tell_denial('denied_slips of the session')}"
+            f"machine's; {slip.say()}{tell_denial('ignored_data_errors of the session')}"
         )
     slip = find_slip([measured.readings]) if denied else None
     return None if slip is None else f"Session {session.label!r}: {slip.say()}"
@@ -145,7 +145,7 @@ def _split(config: SessionsConfig, session: int, measured: MeasuredReadings, war
     ]
 
 
-def _build_drift(config: SessionsConfig, first: MeasuredReadings) -> Drift:
+def _build_drift(config: SessionsConfig, first: MeasuredReadings) -> DriftModel:
     drift, layout, names = config.drift, first.posterior.likelihood.model.layout, first.posterior.sampling.names
     free = dict.fromkeys(name.partition("[")[0] for name in names)
     index, units, scales = [], [], []
@@ -162,22 +162,22 @@ def _build_drift(config: SessionsConfig, first: MeasuredReadings) -> Drift:
         for k, name in enumerate(names):
             if name.partition("[")[0] == symbol:
                 index.append(k)
-                units.append(name if drift.per_leg else symbol)
+                units.append(name if drift.separate_by_leg else symbol)
                 scales.append(scale * UNITS[unit][1])
     kept = list(dict.fromkeys(units))
     if len(kept) > MOST_UNITS:
         raise InputError(
-            f"drift: found {len(kept)} scales, expected at most {MOST_UNITS}: fewer symbols, or per_leg = false"
+            f"drift: found {len(kept)} scales, expected at most {MOST_UNITS}: fewer symbols, or separate_by_leg = false"
         )
-    days = [one.day for one in config.sessions]
-    walk = drift.hierarchy == "walk"
+    days = [one.time_days for one in config.sessions]
+    walk = drift.model == "random_walk"
     loadings = walk_loadings(np.array(days, dtype=np.float64)) if walk else np.eye(len(days))
     unit_of = np.array([kept.index(one) for one in units])
     scale_of = np.array([scales[units.index(one)] for one in kept])
-    return Drift(loadings, np.array(index), unit_of, tuple(kept), scale_of)
+    return DriftModel(loadings, np.array(index), unit_of, tuple(kept), scale_of)
 
 
-def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) -> tuple[Expansion, ...]:
+def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) -> tuple[ThermalExpansion, ...]:
     if thermal is None:
         return ()
     legs = {"struts": ("l",), "base": ("a_x", "a_y", "a_z"), "platform": ("b_x", "b_y", "b_z")}
@@ -195,13 +195,13 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
                     f"{', '.join(lengths)}"
                 )
         index = np.concatenate([layout.index[symbol] for symbol in symbols])
-        found.append(Expansion(name, index, PPM * body.ppm, PPM * body.sd_ppm))
+        found.append(ThermalExpansion(name, index, PPM * body.ppm, PPM * body.sd_ppm))
     return tuple(found)
 
 
 def pick_rows(measured: MeasuredReadings, chosen: np.ndarray) -> ReadingRows:
     """Return some of the poses of a session, (Q,)."""
-    anchored = measured.anchored
+    anchored = measured.with_pose_guesses
     return ReadingRows(replace(anchored, likelihood=anchored.likelihood.pick(chosen)))
 
 
@@ -250,21 +250,22 @@ def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> tupl
 def measure_sessions(
     experiment: object, study: Any, path: Path, config: SessionsConfig, folder: Path
 ) -> list[MeasuredReadings]:
-    """Return what each session measured, in place of the data of a study; InputError names the session."""
-    found: list[MeasuredReadings] = []
+    """Return what each session measured, instead of the data of a study; InputError names the session."""
+    check_measures(experiment, study, path)
+    found, name = list[MeasuredReadings](), choose_variant(config.variant, study, path)
     place = _place_tables if getattr(study, "by_tables", False) else _place_files
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
             placed = place(study, session, folder, path) if hasattr(study, "data") else study
-            measured = measure_variants(experiment, placed, path, [config.variant])[config.variant].count_by_row()
+            measured = measure_variants(experiment, placed, path, [name])[name].count_by_row()
             errors = measured.posterior.errors
             if errors.outliers.expected:
                 raise InputError(
                     f"{path}: found a robust variant, expected another: sessions are joined in closed form"
                 )
-            if not all(isinstance(one, FunctionsOfPose) for one in errors.common):
+            if not all(isinstance(one, GPTerm) for one in errors.common):
                 raise InputError(
-                    f"{path}: found functions of [errors], expected a variant without: sessions have those of "
+                    f"{path}: found functions of [error_terms], expected a variant without: sessions have those of "
                     "[model_error]"
                 )
             if found and errors.names != found[0].posterior.errors.names:
@@ -276,16 +277,16 @@ def measure_sessions(
 
 def _join_functions(measured: list[MeasuredReadings]) -> list[MeasuredReadings]:
     """Return sessions whose errors that are functions are of the same few columns in all, which suit all their rows."""
-    every = [[one for one in it.posterior.errors.terms if isinstance(one, FunctionsOfPose)] for it in measured]
+    every = [[one for one in it.posterior.errors.terms if isinstance(one, GPTerm)] for it in measured]
     if not every[0]:
         return measured
     levers, n = every[0][0].own.levers, len(measured[0].internal)
-    over = reduce(Place.join, [some[0].own.at(np.flatnonzero(some[0].own.used)) for some in every])
+    over = reduce(KernelInput.join, [some[0].own.at(np.flatnonzero(some[0].own.used)) for some in every])
 
     def join(one: ErrorTerm) -> ErrorTerm:
-        if not isinstance(one, FunctionsOfPose):
+        if not isinstance(one, GPTerm):
             return one
-        return ThinFunctionsOfPose(one.sort, replace(one.own, levers=levers), one.scale, one.floor, n, over)
+        return LowRankGPTerm(one.sort, replace(one.own, levers=levers), one.scale, one.floor, n, over)
 
     found = []
     for it in measured:
@@ -295,7 +296,7 @@ def _join_functions(measured: list[MeasuredReadings]) -> list[MeasuredReadings]:
 
 
 def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:
-    """Return a calibration with a session's tables in place of its own, in their order."""
+    """Return a calibration with a session's tables instead of its own, in their order."""
     given = [key for key in FILES if getattr(session, key) is not None]
     if given:
         raise InputError(f"found {given[0]}, expected readings, as {path} has tables of them")
@@ -304,7 +305,7 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
             f"found {len(session.readings)} files of readings, expected {len(study.data)}: one a [[data]] of {path}"
         )
     tables = [
-        one.model_copy(update={"file": os.path.relpath(folder / name, path.parent), "hold_back": []})
+        one.model_copy(update={"file": os.path.relpath(str(folder / name), str(path.parent)), "verification_poses": []})
         for one, name in zip(study.data, session.readings, strict=True)
     ]
     return study.model_copy(update={"data": tables})
@@ -315,13 +316,13 @@ def _place_files(study: Any, session: SessionConfig, folder: Path, path: Path) -
     data = study.data
     named: Mapping[str, str] = {key: getattr(session, key) for key in FILES if getattr(session, key) is not None}
     if session.readings:
-        raise InputError(f"found readings, expected {data.measurement}, as {path} is a study of legs")
-    if data.measurement not in named:
-        raise InputError(f"found no {data.measurement}, expected its file, as {path} is a study of {data.measurement}")
+        raise InputError(f"found readings, expected {data.instrument}, as {path} is a study of legs")
+    if data.instrument not in named:
+        raise InputError(f"found no {data.instrument}, expected its file, as {path} is a study of {data.instrument}")
     for key in named:
         if key not in type(data).model_fields:
-            raise InputError(f"found {key}, expected nothing of it, as {path} is a study of {data.measurement}")
-    moved = {key: os.path.relpath(folder / name, path.parent) for key, name in named.items()}
+            raise InputError(f"found {key}, expected nothing of it, as {path} is a study of {data.instrument}")
+    moved = {key: os.path.relpath(str(folder / name), str(path.parent)) for key, name in named.items()}
     return study.model_copy(update={"data": data.model_copy(update=moved)})
 
 
@@ -330,13 +331,15 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings]
 
     In a walk; of machines without legs there is nothing to compare.
     """
-    first = sessions[0].anchored
+    first = sessions[0].with_pose_guesses
     if not isinstance(first.likelihood.model, Legs):
         return
-    theta = first.theta(first.approach()[None])[0]  # the machine that explains the first session best by itself
+    theta = first.theta(first.least_squares_start()[None])[
+        0
+    ]  # the machine that explains the first session best by itself
     off = np.stack([_find_offsets(one, theta) for one in sessions])
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
-    limit = FAR * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM
+    limit = MAX_DRIFT_SCALES * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM
     beyond = np.flatnonzero(np.abs(off - off[0]).max(axis=1) > limit)
     if len(beyond):
         k = int(beyond[0])
@@ -344,7 +347,7 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings]
         raise InputError(
             f"session {labels[k]!r}: found leg {leg + 1} off by {abs(off[k, leg] - off[0, leg]):.3g} mm from session "
             f"{labels[0]!r}, expected at most {limit[k]:.3g} mm of one machine with this drift; for several machines "
-            'say hierarchy = "machines"'
+            'say model = "population"'
         )
 
 

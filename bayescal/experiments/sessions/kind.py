@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.sessions.compute import compute_sessions, count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
 from bayescal.experiments.sessions.page import build_page
+from bayescal.experiments.sessions.rows import ROWS
 from bayescal.experiments.sessions.schema import SessionsConfig
-from bayescal.experiments.shared.of_another import OfAnother
+from bayescal.experiments.shared.derived import DerivedExperiment
 
-JOINT, ROWS, DRAWS, SCRATCH = 12, 8, 6, 24
+JOINT, JACOBIANS, DRAWS, SCRATCH = 12, 8, 6, 24
 """Arrays of all unknowns by each other, of all rows by one session's, of draws by all unknowns, and of each session's
 hot loop, which keeps what it works in.
 """
@@ -20,23 +21,24 @@ hot loop, which keeps what it works in.
 BATCH, POSES = 256, 128  # machines, and their poses, at a time
 
 
-class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
+class Sessions(DerivedExperiment[SessionsConfig, SessionsInputs]):
     """One machine measured again and again, or machines of one design: what moved, by how much, how sure."""
 
     schema = SessionsConfig
+    rows = ROWS
     tables_in = "tables"
     read = staticmethod(read_sessions)
     compute = staticmethod(compute_sessions)
     page = staticmethod(build_page)
 
-    def doubt(self, inputs: SessionsInputs, *, before_run: bool = False) -> list[str]:
+    def list_warnings(self, inputs: SessionsInputs, *, before_run: bool = False) -> list[str]:
         """Return whether temperatures are stated that nothing is made of."""
         del before_run
         if inputs.config.thermal is not None or not np.isfinite(inputs.temperature).any():
             return []
         return ["sessions state temperatures, and there is no [thermal]: what they do counts as drift"]
 
-    def estimate_memory(self, inputs: SessionsInputs) -> Need:
+    def estimate_memory(self, inputs: SessionsInputs) -> MemoryEstimate:
         """Return what the joint model of all sessions takes."""
         model, draws = inputs.model, inputs.config.draws
         n_parameters, n_poses = len(model.mean), int(inputs.n_poses.sum())
@@ -46,7 +48,7 @@ class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
             {"sessions": model.n_sessions, "poses": n_poses, "parameters": n_parameters, "draws": draws},
             [
                 (JOINT, model.size, model.size),
-                (ROWS, n_poses, n_legs, n_parameters + n_legs),
+                (JACOBIANS, n_poses, n_legs, n_parameters + n_legs),
                 (DRAWS, count_kept(draws), model.size),
                 (SCRATCH, BATCH, at_once, n_legs),
             ],
@@ -55,5 +57,5 @@ class Sessions(OfAnother[SessionsConfig, SessionsInputs]):
 
     def list_failures(self, results: Results) -> list[str]:
         """Return which models have weights that cannot be relied on."""
-        poor = [name for name, sound in results.summary["sound"].items() if not sound]
+        poor = [name for name, reliable in results.summary["reliable"].items() if not reliable]
         return [f"importance weights of {', '.join(poor)} have too heavy a tail"] if poor else []

@@ -2,69 +2,82 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib import figure as mpl
 
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.sessions.rows import (
+    ROWS,
+    ChannelMotionRow,
+    DriftModelRow,
+    DriftScaleRow,
+    ExpansionRow,
+    LegMotionRow,
+    MotionRow,
+    SessionRow,
+)
 from bayescal.experiments.shared.headline import say_odds, write_headline
 from bayescal.experiments.shared.slips import state_denied
+from bayescal.files.rows import check_tables
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    KeyFigure,
+    Level,
+    Page,
+    PageSection,
+    Statement,
+    Table,
+    make_table,
+)
 from bayescal.report.numbers import (
+    capitalise,
     format_estimate,
     format_fixed,
     format_percent,
     format_plain,
-    format_significant,
-    join_words,
+    name_some,
 )
+from bayescal.report.row_tables import tabulate_rows
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import name_parameter
 
 CLEAR = 3.0
 """Nats, odds of twenty to one, from which on evidence is called clear."""
-LEARNT = 0.3
+MICROMETRES = "µm"
+CLEAR_REDUCTION = 0.3
 """Share of the prior's interval that data have to take off for a motion to be a finding: half of the variance."""
-METHOD = (
-    (
-        "What is shared?",
-        "All sessions have the study's priors, noise and model errors; parameters that may not move are the same in "
-        "all of them. Those that may move walk at random from session to session, or differ from machine to machine; "
-        "how far is learnt, with a half-normal prior on each scale.",
-    ),
-    (
-        "How is it computed?",
-        "Given the scales, parameters of all sessions together are solved for in closed form about their mode; "
-        "scales and evidence come from importance sampling of their marginal density. Every draw is then weighted by "
-        "the exact density of its poses.",
-    ),
-    (
-        "How does a leg move?",
-        "Its motion is the change of all parameters that may move, as a change of its length that would do the same at "
-        "home. Single parameters that are not distinguishable still add up to a motion that can.",
-    ),
-)
 
 
 def build_page(results: Results) -> Page:
     """Return what the page of sessions says."""
+    check_tables(ROWS, results.tables, results.folder or Path())
     summary = results.summary
-    walk = summary["hierarchy"] == "walk"
-    what, _, _ = _find_motions(results)
+    walk = summary["drift_model"] == "random_walk"
+    what, _ = _read_motions(results)
+    expansion, sessions = (row.read(results.table(row.table)) for row in (ExpansionRow, SessionRow))
+    models = DriftModelRow.read(results.table("models"))
     sections = [
-        Section(f"Motion of the {what}s", (_plot_motions(results, walk), _tabulate_motions(results, walk)), f"{what}s"),
-        Section("Scales", (_tabulate_scales(results, walk),), "scales"),
+        PageSection(
+            f"Motion of the {what}s", (_plot_motions(results, walk), _tabulate_motions(results, walk)), f"{what}s"
+        ),
+        PageSection("Prior scales of the drift", (_tabulate_scales(results, walk),), "scales"),
     ]
-    if len(results.table("expansion")):
-        sections.append(Section("Expansion", (_tabulate_expansion(results),), "expansion"))
+    if expansion:
+        sections.append(
+            PageSection("Expansion", (tabulate_rows("Coefficients of expansion.", expansion),), "expansion")
+        )
     sections += [
-        Section("Sessions", (_tabulate_sessions(results),), "sessions"),
-        Section("Evidence", (_tabulate_models(results),), "evidence"),
-        Section("How it was computed", (Definitions(METHOD),), "method"),
+        PageSection("Sessions", (tabulate_rows("Sessions.", sessions),), "sessions"),
+        PageSection("Evidence", (tabulate_rows("Evidence of every model.", models),), "evidence"),
     ]
     return Page(
         kind="Sessions",
@@ -74,6 +87,7 @@ def build_page(results: Results) -> Page:
         headline=state_headline(results),
         verdict=tuple(_list_statements(results, walk)),
         sections=tuple(sections),
+        key_figures=tuple(_list_key_figures(results, walk)),
         facts=(
             ("Study", f"{summary['study']}, {summary['variant']}"),
             ("Sessions" if walk else "Machines", str(summary["n_sessions"])),
@@ -82,80 +96,92 @@ def build_page(results: Results) -> Page:
     )
 
 
-def _find_motions(results: Results) -> tuple[str, pd.DataFrame, list[str]]:
-    """Return whether legs move or channels, by how much, and the unit of each row."""
-    what = "leg" if len(results.table("legs")) else "channel"
-    table = results.table(f"{what}s")
-    table = table if "learnt" in table else table.assign(learnt=1.0)  # results that do not say
-    return what, table, [str(one) for one in table["unit"]] if "unit" in table else ["µm"] * len(table)
+def _read_motions(results: Results) -> tuple[str, list[MotionRow]]:
+    """Return whether legs move or channels, and by how much."""
+    legs: list[MotionRow] = [*LegMotionRow.read(results.table("legs"))]
+    return ("leg", legs) if legs else ("channel", [*ChannelMotionRow.read(results.table("channels"))])
+
+
+def _name(row: MotionRow) -> str:
+    """Return which leg or channel moved."""
+    return str(row.leg) if isinstance(row, LegMotionRow) else row.channel
 
 
 def state_headline(results: Results) -> str:
-    """Return in one sentence what to do, whether anything moved, and what."""
-    summary, scales = results.summary, results.table("scales")
-    walk, nats = summary["hierarchy"] == "walk", summary["log_evidence_drift"]
+    """Return what to do, whether anything moved, and what."""
+    summary, scales = results.summary, DriftScaleRow.read(results.table("scales"))
+    walk, nats = summary["drift_model"] == "random_walk", summary["log_evidence_drift"]
     differ, differs = ("moved", "moved") if walk else ("differ", "differs")
     if nats < -CLEAR:
         advice = "Keep the calibration" if walk else "One calibration serves all machines"
-        return write_headline([f"{advice}: nothing {differs}, {say_odds(-nats)} against it"])
+        return write_headline([advice, f"no change (log Bayes factor {format_fixed(nats, 1, sign=True)})"])
     if nats < CLEAR:
-        apart = f"the evidence differs by {format_significant(abs(nats), 2)} nats"
-        return write_headline([f"Measure more poses: whether anything {differs} is open, {apart}"])
+        said = f"Inconclusive: log Bayes factor {format_fixed(nats, 1, sign=True)}"
+        return write_headline([said, "Measure more poses"])
     advice = "Calibrate again" if walk else "Calibrate each machine for itself"
-    moved = [name_parameter(str(one)) for one in scales.loc[scales["log_odds_moved"] > CLEAR, "unit"]]
-    if not moved:
-        return write_headline([f"{advice}: something {differs}, {say_odds(nats)}; which part is open"])
-    verb = differs if len(moved) == 1 else differ
-    against = "no motion at all" if walk else "machines that are all alike"
-    return write_headline([f"{advice}: {join_words(moved)} {verb}, {say_odds(nats)} against {against}"])
+    moved = [name_parameter(one.parameter_group) for one in scales if one.log_bayes_factor_moved > CLEAR]
+    what = f"{name_some(moved)} {differs if len(moved) == 1 else differ}" if moved else "which part is open"
+    return write_headline([advice, f"{what} ({say_odds(nats)})"])
+
+
+def _list_key_figures(results: Results, walk: bool) -> list[KeyFigure]:
+    """Return evidence of motion, the largest motion, sessions, poses, and the quality of the draws."""
+    summary, (what, moved) = results.summary, _read_motions(results)
+    nats = summary["log_evidence_drift"]
+    level: Level = "warning" if nats > CLEAR else "good" if nats < -CLEAR else "plain"
+    found = [
+        KeyFigure("Log Bayes factor of motion", format_fixed(nats, 1, sign=True), "nat", level),
+        KeyFigure("Sessions" if walk else "Machines", str(summary["n_sessions"])),
+        KeyFigure("Poses", str(summary["n_poses"])),
+    ]
+    if known := [one for one in moved if one.interval_reduction >= CLEAR_REDUCTION]:
+        largest = max(known, key=lambda one: abs(one.mean))
+        value, unit = format_estimate(largest.mean, largest.sd, sign=True), largest.unit or MICROMETRES
+        level = "warning" if largest.p_exceeds_limit > 0.5 else "plain"
+        found.append(KeyFigure(f"Largest motion: {what} {_name(largest)}", value, unit, level))
+    k = _find_worst_k(results)
+    found.append(KeyFigure("Largest Pareto k", format_fixed(k, 2), "", "good" if k <= PARETO_K_LIMIT else "bad"))
+    return found
+
+
+def _find_worst_k(results: Results) -> float:
+    models = results.table("models")
+    return float(max(models["pareto_k"].max(), models["exact_pareto_k"].max()))
 
 
 def _list_statements(results: Results, walk: bool) -> list[Statement]:
     summary, found = results.summary, state_denied(results.summary)
     nats, error = summary["log_evidence_drift"], summary["log_evidence_drift_se"]
-    text = f"Log-evidence of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)} nats."
-    found.append(Statement(text, "warning" if nats > CLEAR else "plain", "Evidence"))
-    what, moved, units = _find_motions(results)
-    moved = moved.assign(unit=units)
-    last = moved[moved["session"] == moved["session"].iloc[-1]]
-    last = last[last["since"] == last["since"].iloc[-1]] if walk else moved
-    known = last[last["learnt"] >= LEARNT]
-    if known.empty:
-        text = f"The data do not determine by how much any {what} moved: posteriors are as wide as their priors."
-        found.append(Statement(text, "warning", "Largest motion"))
-    else:
-        largest = known.iloc[int(np.argmax(np.abs(known["mean"])))]
-        where = f"between {largest['since']} and {largest['session']}" if walk else f"in {largest['session']}"
-        text = (
-            f"{what.capitalize()} {largest[what]} is off most {where}: "
-            f"{format_estimate(largest['mean'], largest['sd'], sign=True)} {largest['unit']}; "
-            f"beyond {_name_shift(summary, str(largest['unit']))} with a probability of "
-            f"{format_percent(largest['beyond'], 1)}."
-        )
-        if len(known) < len(last):
-            few = [str(one) for one in last.loc[last["learnt"] < LEARNT, what]]
-            text += f" The data do not determine by how much {what}{'s' * (len(few) > 1)} {join_words(few)} moved."
-        found.append(Statement(text, "plain", "Largest motion"))
-    for _, one in results.table("expansion").iterrows():
-        expected = format_estimate(one["prior_mean"], one["prior_sd"])
-        text = (
-            f"{str(one['body']).capitalize()} expand by {format_estimate(one['mean'], one['sd'])} ppm/K; "
-            f"{expected} were expected."
-        )
-        if one["sd"] > (1.0 - LEARNT) * one["prior_sd"]:
-            text = f"The data do not determine how {one['body']} expand; {expected} ppm/K are expected."
-        found.append(Statement(text, "plain", "Temperature"))
-    models = results.table("models")
-    worst = float(max(models["pareto_k"].max(), models["exact_pareto_k"].max()))
-    good = worst <= PARETO_K_LIMIT
-    text = (
-        "Draws agree with the exact density: "
-        f"at least {format_percent(float(models['exact_efficiency'].min()))} of them count; "
-        f"largest Pareto k {format_fixed(worst, 2)}."
-        if good
-        else f"Weights have too heavy a tail (Pareto k {format_fixed(worst, 2)}): more draws, or fewer symbols."
-    )
-    found.append(Statement(text, "good" if good else "bad", "Computation"))
+    text = f"Log Bayes factor of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)}."
+    level: Level = "warning" if nats > CLEAR else "plain"
+    found.append(Statement(text, level, "Evidence", value=nats, limit=CLEAR, unit="nat"))
+    what, moved = _read_motions(results)
+    last = [one for one in moved if (one.since, one.session) == (moved[-1].since, moved[-1].session)] if walk else moved
+    known = [one for one in last if one.interval_reduction >= CLEAR_REDUCTION]
+    if known:
+        largest = max(known, key=lambda one: abs(one.mean))
+        where = f"from {largest.since} to {largest.session}" if walk else f"of {largest.session}"
+        unit = largest.unit or MICROMETRES
+        text = f"{capitalise(what)} {_name(largest)} {where}: {format_estimate(largest.mean, largest.sd, sign=True)} "
+        text += f"{unit}; P(beyond {_name_shift(summary, unit)}) = {format_percent(largest.p_exceeds_limit, 1)}."
+        found.append(Statement(text, "plain", "Largest motion", value=largest.mean, unit=unit))
+    few = [_name(one) for one in last if one not in known]
+    if few:
+        text = f"Motion not determined by the data: {what}{'s' * (len(few) > 1)} {name_some(few)}."
+        found.append(Statement(text, "plain" if known else "warning", "Motion", value=len(few), limit=0.0))
+    for one in ExpansionRow.read(results.table("expansion")):
+        expected, estimate = (format_estimate(*both) for both in ((one.prior_mean, one.prior_sd), (one.mean, one.sd)))
+        text = f"Expansion of {one.body}: {estimate} ppm/K (prior {expected})."
+        if one.sd > (1.0 - CLEAR_REDUCTION) * one.prior_sd:
+            text = f"Expansion of {one.body}: not determined by the data (prior {expected} ppm/K)."
+        found.append(Statement(text, "plain", "Temperature", value=one.mean, limit=one.prior_mean, unit="ppm/K"))
+    k, models = _find_worst_k(results), results.table("models")
+    text = f"Importance sampling: ESS fraction at least {format_percent(float(models['exact_efficiency'].min()))}, "
+    text += f"Pareto k at most {format_fixed(k, 2)}."
+    good = k <= PARETO_K_LIMIT
+    action = "" if good else "Use more draws, or fewer symbols."
+    level = "good" if good else "bad"
+    found.append(Statement(text, level, "Computation", value=k, limit=PARETO_K_LIMIT, action=action))
     return found
 
 
@@ -164,13 +190,14 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
 
 def _name_shift(summary: dict[str, Any], unit: str) -> str:
     """Return the motion from which on one counts, in a unit."""
-    return f"{format_plain(summary['shift_um'] if unit == 'µm' else summary.get('shift_arcsec', 0.0))} {unit}"
+    limit = summary["motion_limit_um"] if unit == "µm" else summary.get("motion_limit_arcsec", 0.0)
+    return f"{format_plain(limit)} {unit}"
 
 
 def _tabulate_motions(results: Results, walk: bool) -> Table:
-    what, table, units = _find_motions(results)
+    what, motions = _read_motions(results)
     by_leg, summary = what == "leg", results.summary
-    unit = "µm" if by_leg else ""
+    unit = MICROMETRES if by_leg else ""
     columns = [
         Column("Since" if walk else "From", kind="name"),
         Column("Session" if walk else "Machine", kind="name"),
@@ -181,118 +208,66 @@ def _tabulate_motions(results: Results, walk: bool) -> Table:
         Column("beyond", _name_shift(summary, unit) if by_leg else "the limit"),
     ]
     rows: list[list[str | Cell]] = []
-    for one, own in zip(table.to_dict("records"), units, strict=True):
-        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
-        sure = Cell(format_percent(one["beyond"], 1), "warning" if one["beyond"] > 0.5 else "plain")
-        sure = sure if one["learnt"] >= LEARNT else Cell("not determined")
-        moved = format_estimate(one["mean"], one["sd"], sign=True)
-        unit_of = [] if by_leg else [own]
-        rows.append([str(one["since"]), str(one["session"]), str(one[what]), moved, interval, *unit_of, sure])
+    for one in motions:
+        interval = f"{format_fixed(one.q05, 1)} to {format_fixed(one.q95, 1)}"
+        sure = Cell(format_percent(one.p_exceeds_limit, 1), "warning" if one.p_exceeds_limit > 0.5 else "plain")
+        sure = sure if one.interval_reduction >= CLEAR_REDUCTION else Cell("not determined")
+        moved = format_estimate(one.mean, one.sd, sign=True)
+        own = [] if by_leg else [one.unit or MICROMETRES]
+        rows.append([one.since, one.session, _name(one), moved, interval, *own, sure])
     if by_leg:
-        caption = "Motion of every leg, as a change of its length, with its standard deviation."
+        caption = "Change of every leg's length, with its sd."
         return make_table(caption, columns, rows)
-    limits = " and ".join(_name_shift(summary, one) for one in dict.fromkeys(units))
-    caption = f"What every channel of the machine reads more at home, with its standard deviation; limit {limits}."
+    limits = " and ".join(
+        _name_shift(summary, one) for one in dict.fromkeys(one.unit or MICROMETRES for one in motions)
+    )
+    caption = f"Change of every channel's reading at home, with its sd; limit {limits}."
     return make_table(caption, columns, rows)
 
 
 def _tabulate_scales(results: Results, walk: bool) -> Table:
-    unit = "" if "in" in results.table("scales") else "µm per √month" if walk else "µm"
-    columns = [Column("Moves", kind="name"), Column("scale", unit), Column("90 % interval", unit), Column("odds, log")]
+    scales = DriftScaleRow.read(results.table("scales"))
+    unit = "" if any(one.unit for one in scales) else "µm per √month" if walk else MICROMETRES
+    columns = [Column("Moves", kind="name"), Column("scale", unit), Column("90 % interval", unit)]
+    columns.append(Column("Log Bayes factor", "nat"))
     rows: list[list[str | Cell]] = []
-    for one in results.table("scales").to_dict("records"):
-        interval = f"{format_fixed(one['q05'], 1)} to {format_fixed(one['q95'], 1)}"
-        nats = one["log_odds_moved"]
-        odds = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
-        own = f" {one['in']}{' per √month' * walk}" if "in" in one else ""
-        rows.append([str(one["unit"]), f"{format_estimate(one['mean'], one['sd'])}{own}", interval, odds])
-    caption = (
-        "Scales of what may move, and log-odds that it does against that it alone does not move, at even prior odds."
-    )
+    for one in scales:
+        interval = f"{format_fixed(one.q05, 1)} to {format_fixed(one.q95, 1)}"
+        nats = one.log_bayes_factor_moved
+        factor = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
+        own = f" {one.unit}{' per √month' * walk}" if one.unit else ""
+        rows.append([one.parameter_group, f"{format_estimate(one.mean, one.sd)}{own}", interval, factor])
+    caption = "Scales of the motion, and log Bayes factor of each against none."
     return make_table(caption, columns, rows)
 
 
-def _tabulate_expansion(results: Results) -> Table:
-    columns = [Column("Body", kind="name"), Column("expected", "ppm/K"), Column("found", "ppm/K")]
-    rows = [
-        [str(one["body"]), format_estimate(one["prior_mean"], one["prior_sd"]), format_estimate(one["mean"], one["sd"])]
-        for one in results.table("expansion").to_dict("records")
-    ]
-    return make_table("Coefficients of expansion.", columns, rows)
-
-
-def _tabulate_sessions(results: Results) -> Table:
-    columns = [Column("Session", kind="name"), Column("Day"), Column("Poses"), Column("Temperature", "°C")]
-    rows = [
-        [
-            str(one["session"]),
-            format_plain(one["day"]) if np.isfinite(one["day"]) else "–",
-            str(one["n_poses"]),
-            format_fixed(one["temperature_celsius"], 1),
-        ]
-        for one in results.table("sessions").to_dict("records")
-    ]
-    return make_table("What was measured.", columns, rows)
-
-
-def _tabulate_models(results: Results) -> Table:
-    columns = [
-        Column("Model", kind="name"),
-        Column("log-evidence", "nats"),
-        Column("efficiency", group="Scales"),
-        Column("k", group="Scales"),
-        Column("efficiency", group="Against the exact density"),
-        Column("k", group="Against the exact density"),
-    ]
-    rows = [
-        [
-            str(one["model"]),
-            format_estimate(one["log_evidence"], max(one["se"], 0.001)),
-            format_percent(one["efficiency"]),
-            format_fixed(one["pareto_k"], 2),
-            format_percent(one["exact_efficiency"]),
-            format_fixed(one["exact_pareto_k"], 2),
-        ]
-        for one in results.table("models").to_dict("records")
-    ]
-    return make_table("Evidence of every model, and how good the draws behind it are.", columns, rows)
-
-
 def _plot_motions(results: Results, walk: bool) -> Block:
-    what, table, units = _find_motions(results)
+    what, motions = _read_motions(results)
     if what == "channel":
-        order = {name: str(k + 1) for k, name in enumerate(dict.fromkeys(table["channel"]))}
-        legs = table.assign(leg=[int(order[name]) for name in table["channel"]])
-        names = {int(k): f"{name}, {unit}" for (name, k), unit in zip(order.items(), units, strict=False)}
-        caption = (
-            "What every channel reads more at home from one session to the next: mean and 90 % interval of each step."
-        )
-        return Figure("channels", caption, partial(draw_legs, legs, walk, names))
+        caption = "Change of every channel's reading at home from session to session: mean and 90 % interval."
+        return Figure("channels", caption, partial(draw_motions, motions, walk))
     caption = (
-        "Motion of every leg from one session to the next: mean and 90 % interval of each step."
+        "Change of every leg's length from session to session: mean and 90 % interval."
         if walk
-        else "Every leg of every machine, off the mean of all: mean and 90 % interval."
+        else "Length of every leg of every machine, less the mean of all: mean and 90 % interval."
     )
-    return Figure("legs", caption, partial(draw_legs, results.table("legs"), walk))
+    return Figure("legs", caption, partial(draw_motions, motions, walk))
 
 
-def draw_legs(legs: pd.DataFrame, walk: bool, names: dict[int, str] | None = None) -> mpl.Figure:
-    """Return the motion of legs, or of channels of these names, over the sessions, a panel for each."""
-    numbers = list(dict.fromkeys(legs["leg"]))
-    ends = legs[legs["leg"] == numbers[0]][["since", "session"]]
-    steps = len(ends) - 1 if walk and len(ends) > 1 else len(ends)  # the last row sets the first against the last
-    figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(numbers) - 1) // 3 + 1)))
-    panels = figure.subplots(
-        -(-len(numbers) // 3), min(3, len(numbers)), sharex=True, sharey=names is None, squeeze=False
-    )
-    for axes, leg in zip(panels.ravel(), numbers, strict=False):
-        mine = legs[legs["leg"] == leg].iloc[:steps]
-        at, mean = np.arange(len(mine)), mine["mean"].to_numpy(dtype=float)
-        bars = np.abs(mine[["q05", "q95"]].to_numpy(dtype=float).T - mean)
-        axes.errorbar(at, mean, yerr=bars, fmt="o", markersize=3.5, color=LEG_COLOURS[(int(leg) - 1) % 6])
+def draw_motions(motions: Sequence[MotionRow], walk: bool) -> mpl.Figure:
+    """Return the motion of legs, or of channels, over the sessions, a panel for each."""
+    names, by_leg = list(dict.fromkeys(map(_name, motions))), isinstance(motions[0], LegMotionRow)
+    figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(names) - 1) // 3 + 1)))
+    panels = figure.subplots(-(-len(names) // 3), min(3, len(names)), sharex=True, sharey=by_leg, squeeze=False)
+    for k, (axes, name) in enumerate(zip(panels.ravel(), names, strict=False)):
+        mine = [one for one in motions if _name(one) == name]
+        mine = mine[:-1] if walk and len(mine) > 1 else mine  # the last row sets the first against the last
+        mean, low, high = np.array([(one.mean, one.q05, one.q95) for one in mine]).T
+        bars = np.abs([low - mean, high - mean])
+        axes.errorbar(np.arange(len(mine)), mean, yerr=bars, fmt="o", markersize=3.5, color=LEG_COLOURS[k % 6])
         axes.axhline(0.0, color=GREY, linewidth=0.8)
-        axes.set_title(f"Leg {leg}" if names is None else names[int(leg)])
-        axes.set_xticks(at, [str(one) for one in mine["session"]], rotation=45, ha="right")
+        axes.set_title(f"Leg {name}" if by_leg else f"{name}, {mine[0].unit}")
+        axes.set_xticks(np.arange(len(mine)), [one.session for one in mine], rotation=45, ha="right")
     for axes in panels[:, 0]:
-        axes.set_ylabel(("Step" if walk else "Off the mean") + (", µm" if names is None else ""))
+        axes.set_ylabel(("Step" if walk else "Off the mean") + (", µm" if by_leg else ""))
     return figure

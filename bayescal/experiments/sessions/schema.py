@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from bayescal.config.sections import InputFile, Number, Positive, Section, check_once
-from bayescal.experiments.shared.of_another import OfAnotherConfig
-from bayescal.experiments.shared.readings.schema import OriginConfig
-from bayescal.experiments.shared.slips import DeniedSlips
+from bayescal.experiments.shared.derived import OfAnotherConfig
+from bayescal.experiments.shared.readings.schema import ProvenanceConfig
+from bayescal.experiments.shared.slips import IgnoredDataErrors
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
 type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]
@@ -21,8 +21,8 @@ class SessionConfig(Section):
 
     label: Annotated[str, Field(min_length=1, max_length=60)]
     """Name of the session, or of the machine."""
-    day: Number | None = None
-    """Day of the session, counted from any day; a walk needs it [d]."""
+    time_days: Number | None = None
+    """Time of the session, counted from any day; a random walk needs it [d]."""
     targets: InputFile | None = None
     """CSV file of targets, for a study of targets."""
     poses: InputFile | None = None
@@ -37,7 +37,7 @@ class SessionConfig(Section):
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None
     """CSV file with a temperature for each pose: pose, temperature_celsius."""
-    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
+    ignored_data_errors: IgnoredDataErrors = Field(default=[], exclude_if=lambda value: not value)
     """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`, `poses`,
     `channel`, `frame`."""
 
@@ -51,8 +51,10 @@ class SessionConfig(Section):
 class DriftConfig(Section):
     """What may move between sessions, and how much of it is expected."""
 
-    hierarchy: Literal["walk", "machines"] = "walk"
-    """`"walk"`: one machine, whose parameters walk at random; `"machines"`: several of a design, each off its mean."""
+    model: Literal["random_walk", "population"] = "random_walk"
+    """`"random_walk"`: of the parameters of one machine; `"population"`: several machines of a design, each off its
+    mean.
+    """
     symbols: Annotated[list[str], AfterValidator(check_once), Field(min_length=1)] = Field(default=["l"])
     """Symbols of free lengths that may move."""
     scale_um: Positive | None = None
@@ -61,7 +63,7 @@ class DriftConfig(Section):
     """
     scale_arcsec: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """The same of an angle."""
-    per_leg: bool = True
+    separate_by_leg: bool = True
     """Whether every leg has a scale of its own for every symbol, or all legs share one."""
 
 
@@ -101,9 +103,9 @@ class SessionsConfig(OfAnotherConfig):
 
     kind: Literal["sessions"]
     """`"sessions"`."""
-    variant: str
-    """The variant, by its name."""
-    origin: OriginConfig
+    variant: str | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Its variant, by its name; needed where it has several."""
+    provenance: ProvenanceConfig
     """Where the data come from, in words: measured or simulated."""
     sessions: Annotated[list[SessionConfig], Field(min_length=2, max_length=60)]
     """The sessions, in the order of their days."""
@@ -111,9 +113,9 @@ class SessionsConfig(OfAnotherConfig):
     """What may move between them."""
     thermal: ThermalConfig | None = None
     """What the temperature does; nothing without it."""
-    shift_arcsec: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
+    motion_limit_arcsec: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
     """The same of a channel that reads an angle; 20 where nothing is said."""
-    shift_um: Positive = 20.0
+    motion_limit_um: Positive = 20.0
     """A motion of a leg from which on it counts: the probability that it moved further is told."""
     draws: Annotated[int, Field(ge=500, le=200_000)] = 3000
     """Draws for every evidence, a third of which stand for the posterior."""
@@ -121,13 +123,13 @@ class SessionsConfig(OfAnotherConfig):
     @model_validator(mode="after")
     def _check_sessions(self) -> Self:
         check_once([one.label for one in self.sessions])
-        if self.drift.hierarchy == "walk":
+        if self.drift.model == "random_walk":
             for one, before in zip(self.sessions, [None, *self.sessions], strict=False):
-                if one.day is None:
-                    raise ValueError(f"session {one.label!r}: found no day, expected one, since parameters walk")
-                if before is not None and before.day is not None and one.day <= before.day:
+                if one.time_days is None:
+                    raise ValueError(f"session {one.label!r}: found no time_days, expected it, since parameters walk")
+                if before is not None and before.time_days is not None and one.time_days <= before.time_days:
                     raise ValueError(
-                        f"session {one.label!r}: found day {one.day:g} after day {before.day:g} of "
+                        f"session {one.label!r}: found time_days {one.time_days:g} after {before.time_days:g} of "
                         f"{before.label!r}, expected sessions in the order of their days"
                     )
         if self.thermal is not None:

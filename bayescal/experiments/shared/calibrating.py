@@ -11,19 +11,19 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import trusting
 from bayescal.errors import InputError
-from bayescal.experiments.frame.identity import identify
-from bayescal.experiments.frame.load import find_kind, load
+from bayescal.experiments.runner.identity import identify
+from bayescal.experiments.runner.load import find_kind, load
 from bayescal.files.atomic import read_json
 from bayescal.files.manifest import overlooking
 
 if TYPE_CHECKING:
-    from bayescal.experiments.frame.results import Results
+    from bayescal.experiments.runner.results import Results
 
 KEPT = "machine"
 """Folder of the results that holds what the machine is read from."""
 
 
-class Calibrating(ABC):
+class CalibratingKind(ABC):
     """A kind of experiment whose results hold a calibrated machine.
 
     Attributes
@@ -68,7 +68,8 @@ def load_calibrated(
     path: Path | str,
     variant: str | None = None,
     experiment: Path | str | None = None,
-    force: bool = False,
+    allow_unconverged: bool = False,
+    allow_changed_files: bool = False,
     trust: bool = False,
     mode: int | None = None,
     with_instruments: bool = False,
@@ -82,8 +83,10 @@ def load_calibrated(
         Of the results; the best by default.
     experiment : Path or str, optional
         The config of the results, for those that do not hold the nominal machine.
-    force : bool
-        Take a posterior that did not converge, too, and files that are not as they were written.
+    allow_unconverged : bool
+        Use a posterior that did not converge.
+    allow_changed_files : bool
+        Use files that changed since they were written.
     trust : bool
         Run the code of classes that are the machine's own, which results keep, though nobody has trusted it.
     mode : int, optional
@@ -103,8 +106,8 @@ def load_calibrated(
     >>> calibrated.theta.shape, calibrated.covariance.shape
     ((14,), (9, 9))
     """
-    path = Path(path)
-    with trusting(trust), overlooking(force):
+    path = path if isinstance(path, Path) else Path(path)
+    with trusting(trust), overlooking(allow_changed_files):
         if (path / CALIBRATED).is_file():
             found = read_exported(path)
             if variant not in (None, found.source.variant):
@@ -114,11 +117,11 @@ def load_calibrated(
         else:
             place = None if experiment is None else Path(experiment)
             found = _calibrate(path, variant, place, mode, with_instruments)
-    if found.source.problems and not force:
+    if found.source.problems and not allow_unconverged:
         problems = "; ".join(found.source.problems)
         raise InputError(
-            f"{path}: variant {found.source.variant!r} did not converge ({problems}), expected one that did; --force, "
-            "in Python bc.load_results(folder, force=True), takes it all the same"
+            f"{path}: variant {found.source.variant!r} did not converge ({problems}), expected one that did, or "
+            "--allow-unconverged, in Python allow_unconverged=True"
         )
     return found
 
@@ -126,11 +129,11 @@ def load_calibrated(
 def _calibrate(
     path: Path, variant: str | None, experiment: Path | None, mode: int | None, with_instruments: bool
 ) -> CalibratedMachine:
-    from bayescal.experiments.frame.results import PROVENANCE_FILE, read_results
+    from bayescal.experiments.runner.results import PROVENANCE_FILE, read_results
 
     name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
-    if not isinstance(kind, Calibrating):
+    if not isinstance(kind, CalibratingKind):
         raise InputError(
             f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
         )

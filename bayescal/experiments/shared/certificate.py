@@ -16,9 +16,9 @@ from bayescal.calibrated.accuracy import (
     GEOMETRY,
     AxisFigures,
     Budget,
+    MonteCarloSpread,
     PoseFigures,
     Region,
-    Spread,
     check_standards,
     compute_budget,
     coverage_factor,
@@ -37,19 +37,18 @@ from bayescal.calibrated.accuracy import (
     sample_range,
     sample_region,
 )
-from bayescal.calibrated.drawn_machines import Aligned, align_over
+from bayescal.calibrated.drawn_machines import AlignedMachine, align_over
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE, CalibratedMachine
 from bayescal.calibrated.predict import check_determined
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import PROVENANCE_FILE, SUMMARY_FILE
+from bayescal.experiments.runner.results import PROVENANCE_FILE, SUMMARY_FILE
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
-from bayescal.experiments.shared.knowledge_page import ALIGNED
 from bayescal.experiments.shared.soundness import span_shares
 from bayescal.files.atomic import read_json
 from bayescal.limits import COVERAGE
 from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
-from bayescal.report.blocks import Cell, Column, Definitions, Figure, Page, Section, Statement, Table, make_table
+from bayescal.report.blocks import Cell, Column, Definitions, Figure, Page, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import LEG_COLOURS
 
@@ -78,7 +77,7 @@ MUCH_BEYOND = 0.05
 
 
 @dataclass(frozen=True)
-class Wishes:
+class CertificateOptions:
     """What a certificate is to state."""
 
     coverage: float = 0.95  # probability of the expanded uncertainty
@@ -87,7 +86,7 @@ class Wishes:
     cube_mm: float | None = None  # of ISO 9283; by default the largest about home within reach and within the region
     seed: int = 0
     region: Region | None = None  # by default that of the poses that calibrated the machine, where they are known
-    whole_range: bool = False  # all over its range instead
+    full_range: bool = False  # all over its range instead
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +94,10 @@ class Certificate:
     """What is certified."""
 
     calibrated: CalibratedMachine
-    wishes: Wishes
+    wishes: CertificateOptions
     budget: Budget
     factor: float  # k of the law of propagation
-    spread: Spread  # by Monte Carlo, of the first poses of the budget
+    spread: MonteCarloSpread  # by Monte Carlo, of the first poses of the budget
     cube_mm: float  # zero where figures of the standards have no meaning
     poses: PoseFigures | None  # ISO 9283 of each machine of the posterior, (S, 5)
     axes: tuple[AxisFigures, ...]  # ISO 230-2 along the tool's lengths, of each machine, (S,)
@@ -203,7 +202,7 @@ def _rms(values: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certificate:
+def certify(calibrated: CalibratedMachine, path: Path, wishes: CertificateOptions) -> Certificate:
     """Return what a certificate states of a calibrated machine, loaded from a directory.
 
     Raises
@@ -214,7 +213,7 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
     check_determined(calibrated)
     known = enclose_measured(calibrated)
     everywhere = enclose_workspace(calibrated)
-    region = everywhere if wishes.whole_range else wishes.region or known or everywhere
+    region = everywhere if wishes.full_range else wishes.region or known or everywhere
     if region is None:
         commands = sample_range(calibrated, wishes.n_poses, wishes.seed)
     else:
@@ -250,7 +249,11 @@ def certify(calibrated: CalibratedMachine, path: Path, wishes: Wishes) -> Certif
 
 
 def _judge(
-    calibrated: CalibratedMachine, wishes: Wishes, region: Region | None, budget: Budget, aligned: Aligned | None
+    calibrated: CalibratedMachine,
+    wishes: CertificateOptions,
+    region: Region | None,
+    budget: Budget,
+    aligned: AlignedMachine | None,
 ) -> tuple[float, PoseFigures, tuple[AxisFigures, ...]]:
     """Return the edge of a cube about home, and the standards' figures of poses and axes in it."""
     home = calibrated.model.tool_values(calibrated.theta, calibrated.model.home_pose)
@@ -270,7 +273,9 @@ def _judge(
 def build_certificate(found: Certificate) -> Page:
     """Return the page of a certificate."""
     source = found.calibrated.source
-    failures = tuple(Statement(f"Not converged, certified by force: {one}.", "bad") for one in source.problems)
+    failures = tuple(
+        Statement(f"Not converged, certified with --allow-unconverged: {one}.", "bad") for one in source.problems
+    )
     figures: Table | Statement = Statement(f"Not meaningful: {found.without}.", "plain", "Figures")
     if found.poses is not None:
         figures = _tabulate_figures(found, found.poses)
@@ -284,14 +289,13 @@ def build_certificate(found: Certificate) -> Page:
         headline=state_headline(found),
         verdict=tuple(_state_verdict(found)),
         sections=(
-            Section("What is certified", (_tabulate_subject(found),), "subject", "Subject"),
-            Section("Budget by source", (_tabulate_budget(found), shares), "budget", "Budget"),
-            Section("Figures of ISO 9283 and ISO 230-2", (figures,), "figures", "Figures"),
-            Section("Inputs and software", _list_inputs(found), "inputs", "Inputs"),
-            Section("How it was computed", (Definitions(_explain(found)),), "method", "Method"),
+            PageSection("What is certified", (_tabulate_subject(found),), "subject", "Subject"),
+            PageSection("Budget by source", (_tabulate_budget(found), shares), "budget", "Budget"),
+            PageSection("Figures of ISO 9283 and ISO 230-2", (figures,), "figures", "Figures"),
+            PageSection("Inputs and software", _list_inputs(found), "inputs", "Inputs"),
+            PageSection("How it was computed", (Definitions(_explain(found)),), "method", "Method"),
         ),
         failures=failures,
-        failures_title="Do not rely on this certificate",
     )
 
 
@@ -301,7 +305,7 @@ def state_headline(found: Certificate) -> str:
     chosen = _choose_main(found)
     unit = found.units[chosen[0]]
     each = say_accuracy({found.axis_names[k]: f"±{_micro(typical[k])} {unit}" for k in chosen}, found.wishes.coverage)
-    what = "Position" if len(found.calibrated.lengths) else "Tool"
+    what = "Position" if found.calibrated.model.places_tool else "Tool"
     if not found.calibrated.model.states_tool:
         what = "Coordinates"
     worst = f"at the worst pose ±{_micro(largest[chosen].max())} {unit}"
@@ -309,7 +313,8 @@ def state_headline(found: Certificate) -> str:
     if unaligned is not None:
         base = found.summarise(unaligned)[0]
         own = ", ".join(f"{found.axis_names[k]} ±{_micro(base[k])} {unit}" for k in chosen)
-        frame = f" with base and tool aligned (unaligned {own})"
+        differ = any(_micro(base[k]) != _micro(typical[k]) for k in chosen)
+        frame = f" with base and tool aligned{f' (unaligned {own})' if differ else ''}"
     return write_headline([f"{what}: {each}, root mean square {found.where}{frame}; {worst}"])
 
 
@@ -334,23 +339,20 @@ def _state_verdict(found: Certificate) -> list[Statement]:
         said.append(Statement(text, "warning", "Tool"))
     if found.beyond > MUCH_BEYOND:
         text = (
-            f"{format_percent(found.beyond)} of the poses lie outside of the box of the poses that calibrated the "
-            "machine: there the uncertainty is extrapolated by the model, and mostly larger. Certify the region that "
-            "was measured (leave out --whole-range, --position-mm and --rotation-deg), or measure poses there."
+            f"{format_percent(found.beyond)} of the poses lie outside the box of the calibration poses: extrapolated."
         )
-        said.append(Statement(text, "warning", "Extrapolated"))
+        action = "Certify the measured region (without --full-range), or measure poses there."
+        said.append(Statement(text, "warning", "Extrapolated", action=action))
     first = max(shares, key=lambda source: shares[source][main].mean())
     text = f"{found.sources[first]} makes {format_percent(float(shares[first][main].mean()))} of the variance"
-    text += " of position." if len(found.calibrated.lengths) else "."
+    text += " of position." if model.places_tool else "."
     said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Where it comes from"))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
-    text = (
-        f"k u and Monte Carlo by {found.spread.n_draws} draws of the posterior differ by {100 * worst:+.1f} % at most"
-    )
+    text = f"Monte Carlo by {found.spread.n_draws} draws differs from k u by {100 * worst:+.1f} % at most"
     if found.agrees:
         said.append(Statement(f"{text}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked"))
     else:
-        said.append(Statement(f"{text}: what is stated is that of Monte Carlo.", "warning", "Checked"))
+        said.append(Statement(f"{text}: Monte Carlo is stated.", "warning", "Checked"))
     held_back, n = _find_held_back(found), found.summary.get("n_poses", {}).get("verification", 0)
     if held_back and n:
         inside = held_back["interval_90_coverage"]
@@ -420,13 +422,12 @@ def _tabulate_budget(found: Certificate) -> Table:
             f"{percent} of positions lie within {_micro(radius)} µm of the stated one in any direction (Monte Carlo, "
             f"root mean square over {len(found.spread.radius)} poses)."
         )
-        if len(found.calibrated.lengths)
+        if found.calibrated.model.places_tool
         else Statement(f"Monte Carlo: root mean square over {len(found.spread.radius)} poses."),
         Statement(
-            "Poses are those in the base frame of the machine; whoever measures in another frame adds the uncertainty "
-            "of where that frame is."
+            "Uncertainty is stated in the machine base frame; add that of your instrument's frame."
             if unaligned is None
-            else f"Base and tool are aligned. {ALIGNED}"
+            else "Uncertainty is stated after best-fit alignment of base and tool frames."
         ),
     ]
     return make_table("Standard uncertainties by source, root mean square over the workspace", columns, rows, notes)

@@ -17,12 +17,24 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from bayescal.experiments.frame.losses import attempt
-from bayescal.experiments.shared.packing import pack_tree
+from bayescal.config.classes import label_class
+from bayescal.experiments.runner.losses import attempt
+from bayescal.experiments.shared.array_store import pack_tree
+from bayescal.experiments.shared.posterior_files import choose_draws
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
-from bayescal.experiments.shared.trees import choose_draws
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
+from bayescal.inference.chain_checks import (
+    N_DRAWS,
+    OverdispersedCheck,
+    TailDraws,
+    TailShare,
+    compare_tail_mass,
+    draw_tails,
+    find_rare_ratio,
+    run_overdispersed_chains,
+    widen_tails,
+)
 from bayescal.inference.correction import Correction, CostlyDensity, correct_draws, move_sample, sample_exactly
 from bayescal.inference.diagnostics import (
     Diagnostics,
@@ -33,25 +45,14 @@ from bayescal.inference.diagnostics import (
     measure_sensitivity,
 )
 from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
-from bayescal.inference.importance import ImportanceEvidence
-from bayescal.inference.leave_one_out import LeftOut, leave_out, refit_doubtful
-from bayescal.inference.overdispersed import (
-    N_DRAWS,
-    FarDraws,
-    Scouts,
-    Tails,
-    compare_tails,
-    draw_far_out,
-    find_rare_ratio,
-    send_scouts,
-    widen_tails,
-)
-from bayescal.inference.sampling import Sample, continue_sample, sample_posterior
+from bayescal.inference.importance import WORTH_ANOTHER, ImportanceEvidence
+from bayescal.inference.leave_one_out import LeaveOneOut, leave_out, refit_doubtful
+from bayescal.inference.samplers import EvidenceCheck, SamplingTask, make_sampler
+from bayescal.inference.sampling import Sample
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.solutions import Solutions, find_solutions
 from bayescal.inference.stages import expect
-from bayescal.inference.target import Fittable, Target
-from bayescal.inference.tempered import estimate_by_tempering
+from bayescal.inference.target import LogDensity, LogPosterior
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
@@ -72,41 +73,32 @@ all draws that are kept, predictions among it: as measured."""
 type Arrays = dict[str, Array]
 
 
-class Subject(ABC):
+class PosteriorProblem(ABC):
     """A posterior to be fitted, and what only its kind of measurement knows of it."""
 
     @property
     @abstractmethod
-    def posterior(self) -> Fittable:
+    def posterior(self) -> LogPosterior:
         """The posterior."""
 
     @abstractmethod
-    def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
+    def evaluate(self, posterior: LogPosterior, y: Array, seed: np.random.SeedSequence) -> Arrays:
         """Return what draws (E, S, n) in sampling coordinates say of the rows, by name.
 
         ``log_likelihood`` (E, S, P) of all rows, and whatever tables and files of the kind need.
         """
 
     @abstractmethod
-    def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
+    def replicate_prior(self, posterior: LogPosterior, seed: np.random.SeedSequence) -> Arrays:
         """Return draws of the prior, ``prior`` (T, n) in own units, and what they predict."""
 
     @abstractmethod
-    def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
+    def measure_misfit(self, posterior: LogPosterior, mode: Array) -> ChiSquare:
         """Return χ² of what is left of the rows at the mode (n,)."""
 
     @abstractmethod
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return a density that leaves less out than the explored one; None where there is none."""
-
-
-@dataclass(frozen=True, eq=False)
-class Check:
-    """Log-evidence by tempering, its standard error, and whether the chains mixed."""
-
-    log_evidence: float
-    standard_error: float
-    mixed: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,9 +137,9 @@ class Estimate:
     # with n_steps: for how many of its steps the most patient walker stood still, harmless visits to tails left out
     longest_stand: int
     n_steps: int
-    scouts: Scouts  # where walkers that started far out ended
-    tails: Tails  # what the draws have of the mass where the proposal seldom leads
-    check: Check | None  # where the config asks for it
+    overdispersed: OverdispersedCheck  # where walkers that started far out ended
+    tails: TailShare  # what the draws have of the mass where the proposal seldom leads
+    check: EvidenceCheck | None  # where the config asks for it
     correction: Correction | None  # what led to a density that leaves less out: draws and evidences are its own
     solutions: Solutions  # which of the draws (E, S) belongs to which of M separate ones
     others: tuple[Moments, ...]  # of the draws of those but the first, as far as they are shown
@@ -204,7 +196,7 @@ class Estimate:
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
         problems += list_stand_problems(self.longest_stand, self.n_steps)
-        problems += self.scouts.list_problems() + self.tails.list_problems()
+        problems += self.overdispersed.list_problems() + self.tails.list_problems()
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -229,8 +221,8 @@ class Estimate:
         }
         if self.check is not None:
             row |= {
-                "log_evidence_tempered": self.check.log_evidence,
-                "log_evidence_tempered_se": self.check.standard_error,
+                "log_evidence_check": self.check.log_evidence,
+                "log_evidence_check_se": self.check.standard_error,
             }
         return row | {"efficiency": self.importance.efficiency, "pareto_k": self.importance.pareto_k}
 
@@ -253,15 +245,15 @@ class Fit(Estimate):
     names: tuple[str, ...]  # with units: of the n parameters
     units: tuple[str, ...]
     prior_sd: Array  # (n,)
-    evaluated: Arrays  # what the draws say of the rows, as `Subject.evaluate` and `Subject.replicate_prior` return it
-    left_out: LeftOut  # each of the posterior's rows left out
+    evaluated: Arrays  # of the rows given the draws, see `PosteriorProblem.evaluate` and `replicate_prior`
+    left_out: LeaveOneOut  # each of the posterior's rows left out
     misfit: ChiSquare  # with pulls: what is left of the rows at the mode, and how far the posterior lies from nominal
     pulls: ChiSquare
     power_scaling: Array  # (n, 2): how much each parameter depends on prior and data
     wall_seconds: float
 
     def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
-        """Return it with its tree as a file's bytes in place of what nothing but that needs."""
+        """Return it with its tree as a file's bytes instead of what nothing but that needs."""
         found = self.drop(only_saved)
         return replace(found, evaluated=found.evaluated | {TREE: pack_tree(tree)})
 
@@ -271,10 +263,10 @@ class Fit(Estimate):
         return replace(self, evaluated=evaluated)
 
 
-def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -> float:
+def time_fit(subject: PosteriorProblem, sampler: SamplerConfig, effort: EvidenceConfig) -> float:
     """Return about how many seconds of one core `fit_posterior` takes, within a factor of two, from some densities."""
     posterior = subject.posterior
-    y = np.tile(posterior.approach(), (TIMED, 1))
+    y = np.tile(posterior.least_squares_start(), (TIMED, 1))
 
     def time_call(call: Callable[[Array], Array], y: Array) -> float:
         call(y[:1])  # what is found once
@@ -290,21 +282,24 @@ def time_fit(subject: Subject, sampler: SamplerConfig, effort: EvidenceConfig) -
 
 
 def estimate_posterior(
-    posterior: Target, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
+    posterior: LogDensity, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
 ) -> Estimate:
     """Return what inference finds of a posterior; its random numbers depend on the seed and the name alone."""
     return _estimate(posterior, seed, name, sampler, effort)[0]
 
 
-def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig) -> Fit:
+def fit_posterior(
+    subject: PosteriorProblem, seed: int, name: str, sampler: SamplerConfig, effort: EvidenceConfig
+) -> Fit:
     """Return a posterior's fit; its random numbers depend on the seed and the name alone."""
     began = time.perf_counter()
     found, exploration = _estimate(subject.posterior, seed, name, sampler, effort, subject)
     *_, evaluate_seed, _, prior_seed, refit_seed = _spawn(seed, name)
     # the one that was explored: with a finer density where that makes a difference
-    posterior = cast("Fittable", exploration.straight.posterior)
+    posterior = cast("LogPosterior", exploration.straight.posterior)
     evaluated = subject.evaluate(posterior, found.y, evaluate_seed)
     left_out = leave_out(found.draws, evaluated["log_likelihood"])
+    is_fit = found.importance.efficiency >= WORTH_ANOTHER  # draws that hardly count for it count less without a row
     refit = partial(refit_doubtful, left_out, posterior, exploration, sampler.walkers, refit_seed)
     scale_power = partial(_scale_power, posterior, found.draws, evaluated["log_likelihood"])
     of, prior = f"of {name!r}", partial(subject.replicate_prior, posterior, prior_seed)
@@ -314,7 +309,7 @@ def fit_posterior(subject: Subject, seed: int, name: str, sampler: SamplerConfig
         units=posterior.units,
         prior_sd=np.array([prior.sd for prior in posterior.all_priors().values()]),
         evaluated=evaluated | attempt(f"prior draws {of}", prior, dict[str, Array]()),
-        left_out=attempt(f"rows left out again {of}", refit, left_out),
+        left_out=attempt(f"rows left out again {of}", refit, left_out) if is_fit else left_out,
         misfit=attempt(f"the misfit {of}", lambda: subject.measure_misfit(posterior, found.mode), NO_SQUARE),
         pulls=attempt(f"the distance from nominal {of}", lambda: measure_pulls(posterior, found.draws), NO_SQUARE),
         power_scaling=attempt(f"the power scaling {of}", scale_power, np.full((found.mean.size, 2), np.nan)),
@@ -339,12 +334,12 @@ def _plan(sampler: SamplerConfig, effort: EvidenceConfig) -> dict[str, int]:
 
 
 def _estimate(
-    posterior: Target,
+    posterior: LogDensity,
     seed: int,
     name: str,
     sampler: SamplerConfig,
     effort: EvidenceConfig,
-    subject: Subject | None = None,
+    subject: PosteriorProblem | None = None,
 ) -> tuple[Estimate, Exploration]:
     explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
     expect(_plan(sampler, effort))
@@ -352,9 +347,12 @@ def _estimate(
     found, importance = integrate_posterior(
         posterior, explore_seed, importance_seed, sampler.walkers, effort, fine_enough
     )
-    far = draw_far_out(found, _seed_for(seed, name, "tails"))
+    far = draw_tails(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)
-    sample = _sample(found, importance, far, ensemble_seed, sampler)
+    is_easy = min(found.efficiency, importance.efficiency) >= EASY_EFFICIENCY and importance.pareto_k <= EASY_PARETO_K
+    is_enough = partial(_is_enough, found, importance, far)
+    sampling = make_sampler(sampler.backend).sample(SamplingTask(found, ensemble_seed, sampler, is_easy, is_enough))
+    sample, check = sampling.sample, sampling.evidence
     bridge = attempt(
         f"bridge sampling of {name!r}",
         lambda: estimate_by_bridge(
@@ -367,13 +365,14 @@ def _estimate(
         ),
         NO_BRIDGE,
     )
-    scouts = send_scouts(found, sample, far, _seed_for(seed, name, "scouts"))
-    tails = compare_tails(found, sample, far)
-    check = None
-    if effort.check is not None:
-        by_tempering = partial(estimate_by_tempering, found.straight.posterior, _seed_for(seed, name, "tempered"))
-        tempered = attempt(f"tempering of {name!r}", by_tempering, None)
-        check = None if tempered is None else Check(tempered.log_evidence, tempered.standard_error, tempered.mixed)
+    overdispersed = run_overdispersed_chains(found, sample, far, _seed_for(seed, name, "scouts"))
+    tails = compare_tail_mass(found, sample, far)
+    if effort.cross_check is not None:
+        task = SamplingTask(found, _seed_for(seed, name, "tempered"), sampler, is_easy)
+        other = make_sampler(effort.cross_check, "evidence.cross_check")
+        check = attempt(
+            f"the evidence of {name!r} by {label_class(effort.cross_check)}", lambda: other.sample(task).evidence, None
+        )
     costly, correction = None if subject is None else subject.find_costly(found), None
     if costly is not None:
         correction = correct_draws(costly, found, sample, correct_seed)
@@ -400,7 +399,7 @@ def _estimate(
         bridge=shift_evidence(bridge, correction),
         longest_stand=_measure_stand(found, sample, far, moved.log_evidence),
         n_steps=sample.log_density.shape[2],
-        scouts=scouts,
+        overdispersed=overdispersed,
         tails=tails,
         check=None if check is None else shift_evidence(check, correction),
         correction=correction,
@@ -410,32 +409,22 @@ def _estimate(
     return estimate, found
 
 
-def _sample(
-    found: Exploration,
-    importance: ImportanceEvidence,
-    far: FarDraws,
-    seed: np.random.SeedSequence,
-    sampler: SamplerConfig,
-) -> Sample:
-    """Return draws of ensembles, as many steps as are stated; where none are, as many as the diagnostics ask for."""
-    is_easy = min(found.efficiency, importance.efficiency) >= EASY_EFFICIENCY and importance.pareto_k <= EASY_PARETO_K
-    sample = sample_posterior(found, seed, sampler.ensembles, sampler.walkers, *sampler.plan(is_easy))
-    while sampler.steps is None and 2 * sample.log_density.shape[2] <= sampler.most_steps:
-        n_steps, stand = sample.log_density.shape[2], _measure_stand(found, sample, far, importance.log_evidence)
-        problems = sample.diagnostics.list_problems() + list_stand_problems(stand, n_steps)
-        if not problems and not compare_tails(found, sample, far).list_problems():
-            break
-        sample = continue_sample(found, sample, seed)  # which spawns other seeds each time
-    return sample
+def _is_enough(found: Exploration, importance: ImportanceEvidence, far: TailDraws, sample: Sample) -> bool:
+    """Whether no diagnostic asks for more steps of a sample."""
+    stand = _measure_stand(found, sample, far, importance.log_evidence)
+    problems = sample.diagnostics.list_problems() + list_stand_problems(stand, sample.log_density.shape[2])
+    return not problems and not compare_tail_mass(found, sample, far).list_problems()
 
 
-def _measure_stand(found: Exploration, sample: Sample, far: FarDraws, log_evidence: float) -> int:
+def _measure_stand(found: Exploration, sample: Sample, far: TailDraws, log_evidence: float) -> int:
     proposed = found.proposal.log_density(sample.straight.reshape(-1, sample.straight.shape[-1]))
     ratio = sample.log_density - proposed.reshape(sample.log_density.shape) - log_evidence
     return measure_longest_stand(sample.log_density, ratio, find_rare_ratio(far, found))
 
 
-def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, correction: Correction | None) -> T:
+def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, EvidenceCheck)](
+    found: T, correction: Correction | None
+) -> T:
     """Return a log-evidence after the correction, its standard error that of both."""
     if correction is None:
         return found
@@ -443,7 +432,7 @@ def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, Check)](found: T, cor
     return replace(found, log_evidence=found.log_evidence + correction.log_ratio, standard_error=error)
 
 
-def _scale_power(posterior: Fittable, draws: Array, density: Array) -> Array:
+def _scale_power(posterior: LogPosterior, draws: Array, density: Array) -> Array:
     """Return how much each parameter depends on prior and data, shape (n, 2), from some draws and rows' densities."""
     chosen = choose_draws(*draws.shape[:2])
     some, density = (one.reshape(-1, one.shape[-1])[chosen] for one in (draws, density))

@@ -1,27 +1,37 @@
 """What was found of errors that are functions: whether there are any, how large they are, and how they run.
 
-Those of [errors] have tables of their own, in the channels' units; the terms of a model error have those that pages of
-all machines read, in µm at the tool.
+Those of [error_terms] have tables of their own, in the channels' units; the terms of a model error have those that
+pages of all machines read, in µm at the tool, or in multiples of the channels' noise where the tool has no lengths.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayescal.density.calibration.functions import FunctionErrors
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.model_error import FunctionsOfPose, IndependentErrors
-from bayescal.density.calibration.terms import CommonDraws, Errors
+from bayescal.density.calibration.model_error import OF_NOISE, GPTerm, RandomTerm
+from bayescal.density.calibration.terms import CommonDraws, ErrorModel
 from bayescal.density.low_rank import BUDGET
+from bayescal.density.pose_kernels import OWN
 from bayescal.density.priors import BORDER
 from bayescal.density.schema import TERMS, ModelErrorConfig
-from bayescal.density.sorts import OWN
-from bayescal.experiments.frame.memory import Need, check_memory
-from bayescal.experiments.shared.hidden import tabulate_hidden
+from bayescal.experiments.runner.memory import MemoryEstimate, check_memory
+from bayescal.experiments.shared.rows import (
+    SYSTEMATIC_TOTAL,
+    USES,
+    ErrorCurveRow,
+    ErrorFunctionRow,
+    ModelErrorAloneRow,
+    ModelErrorMemberRow,
+    ModelErrorPoseRow,
+    ModelErrorRow,
+)
+from bayescal.experiments.shared.unmodelled_bias import tabulate_hidden
 from bayescal.identifiability.hidden import choose_unseen, hide_in_posterior
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
@@ -36,8 +46,6 @@ CENTRED = 200
 """Rows, over which functions have a mean of zero."""
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
 INTERVAL = [0.05, 0.95]
-TOGETHER = "together"
-"""All functions of a model error, as its tables call them."""
 REMEDY = "fewer poses, a longer length, or no such errors"
 
 
@@ -46,11 +54,18 @@ def has_lengths(model: ReadingModel) -> bool:
     return bool(model.tool_lengths) and bool(model.coordinates)
 
 
+def choose_size_unit(model: ReadingModel) -> tuple[float, str]:
+    """Return how many units of the sizes of model errors make a mm at the tool, and their name as tables have it."""
+    return (1.0 / MICROMETRE, "um") if has_lengths(model) else (1.0 / OF_NOISE, "noise")
+
+
 def check_functions(term: FunctionErrors, n_poses: int, n_channels: int) -> None:
     """Raise InputError where functions need more memory than there is."""
     n = len(term.places) * term.root(np.array([term.length])).shape[-1]
     held = 6.0 * BUDGET + n_poses * n_channels * n * (8.0 + 2.0 * len(term.names)) + 4.0 * n**2
-    check_memory(Need(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1)
+    check_memory(
+        MemoryEstimate(each=8.0 * held, sizes=f"{n_poses} poses with {n} coefficients of functions", remedy=REMEDY), 1
+    )
 
 
 def tabulate_functions(
@@ -66,7 +81,7 @@ def tabulate_functions(
     if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
         return {}
     draws, data = posterior.likelihood.draw_common(*posterior.at(y), rng), posterior.likelihood.data
-    grid, rows, curves = _grid(data), list[dict[str, Any]](), list[dict[str, Any]]()
+    grid, rows, curves = _grid(data), list[ErrorFunctionRow](), list[pd.DataFrame]()
     terms = posterior.errors.of(posterior.zeta(y))
     for (term, zeta), errors, course in zip(terms, draws.by_term(data), draws.by_term(grid), strict=True):
         if not isinstance(term, FunctionErrors) or errors is None or course is None:
@@ -75,29 +90,40 @@ def tabulate_functions(
             factor, unit = SHOWN.get(term.scale_units[group], (1.0, term.scale_units[group]))
             size = factor * np.sqrt(np.mean(errors[:, data.present[:, k], k] ** 2, axis=1))
             low, high = np.quantile(size, INTERVAL)
-            own = {"variant": variant, "sensor": posterior.likelihood.model.names[k]}
-            own |= {"of": term.travel.of, "unit": unit}
+            sensor, of = posterior.likelihood.model.names[k], term.travel.of
             scale = term.scales(zeta)[:, group]
             there = scale[scale > 0.0]
             rows.append(
-                {
-                    **own,
-                    "kernel": term.kernel,
-                    "present": float((zeta[:, group] > BORDER).mean()),
-                    "scale_stated": factor * float(term.scale[group]),
-                    "scale": factor * float(np.median(there)) if len(there) > 1 else float("nan"),
-                    "left": float(np.log(there).std() / term.spread) if len(there) > 1 else float("nan"),
-                    "rms": float(size.mean()),
-                    "rms_low": float(low),
-                    "rms_high": float(high),
-                }
+                ErrorFunctionRow(
+                    variant=variant,
+                    sensor=sensor,
+                    input=of,
+                    unit=unit,
+                    kernel=term.kernel,
+                    probability_present=float((zeta[:, group] > BORDER).mean()),
+                    scale_stated=factor * float(term.scale[group]),
+                    scale=factor * float(np.median(there)) if len(there) > 1 else float("nan"),
+                    log_scale_sd_ratio=float(np.log(there).std() / term.spread) if len(there) > 1 else float("nan"),
+                    rms=float(size.mean()),
+                    rms_low=float(low),
+                    rms_high=float(high),
+                )
             )
             if term.rows is None:
-                x = grid.values[:, k] if term.travel.of == "reading" else 1.0 + grid.order
-                mean, (low, high) = course[..., k].mean(axis=0), np.quantile(course[..., k], INTERVAL, axis=0)
-                values = zip(x, factor * mean, factor * low, factor * high, strict=True)
-                curves += [{**own, "reading": at, "mean": m, "low": a, "high": b} for at, m, a, b in values]
-    return {"functions": pd.DataFrame(rows), "function_curves": pd.DataFrame(curves)}
+                low, high = np.quantile(course[..., k], INTERVAL, axis=0)
+                curve = ErrorCurveRow.tabulate(
+                    variant=variant,
+                    sensor=sensor,
+                    input=of,
+                    unit=unit,
+                    reading=grid.values[:, k] if of == "reading" else 1.0 + grid.order,
+                    mean=factor * course[..., k].mean(axis=0),
+                    low=factor * low,
+                    high=factor * high,
+                )
+                curves.append(curve)
+    found = {"functions": ErrorFunctionRow.collect(rows)}
+    return found | ({"function_curves": pd.concat(curves, ignore_index=True)} if curves else {})
 
 
 def _grid(data: Measurements) -> Measurements:
@@ -122,12 +148,14 @@ def tabulate_model_error(
     error: ModelErrorConfig,
     rng: np.random.Generator,
 ) -> dict[str, pd.DataFrame]:
-    """Return what each term of a model error contributes, µm at the tool, as tables by name; none without terms.
+    """Return what each term of a model error contributes as tables by name, with its unit; none without terms.
+
+    Sizes are in the unit of `choose_size_unit`.
 
     ``model_error`` has root mean squares over calibration rows and own channels, of each term and of all functions
     together, and by how much a function's standard deviation exceeds that of its interval (`measure_tail`);
     ``model_error_members`` those of each channel, of the posterior mean of each term; ``model_error_poses`` all
-    functions together at every row; ``model_error_hidden`` what errors that leave no trace hide of each parameter;
+    functions together at every row; ``model_error_bias`` what errors that leave no trace hide of each parameter;
     ``model_error_alone`` how far one sort of functions explains all.
 
     Parameters
@@ -147,60 +175,70 @@ def tabulate_model_error(
     rng : Generator
         For evidences.
     """
-    import pandas as pd  # a third of a second, for those who have tables
-
     from bayescal.inference.causes import weigh_causes  # with all of inference, for those who sample
 
     terms = posterior.errors.of(posterior.zeta(y))
-    tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, IndependentErrors)]
-    sizes: dict[str, Array] = {TERMS[0]: np.sqrt(np.mean(tau, axis=0)) / MICROMETRE} if tau else {}
+    tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, RandomTerm)]
+    factor, unit = choose_size_unit(posterior.likelihood.model)
+    sizes: dict[str, Array] = {TERMS[0]: np.sqrt(np.mean(tau, axis=0))} if tau else {}
     centre = _find_centre(data, ~held, posterior.errors, draws)
     found = [_summarise(part, ~held[rows], posterior.errors, draws, centre) for rows, part in data.split()]
-    names, functions = found[0].names, [name for name in found[0].square if name != TOGETHER]
+    names, functions = found[0].names, [name for name in found[0].square if name != SYSTEMATIC_TOTAL]
     for name in found[0].square:
         square, n_numbers = sum(one.square[name] for one in found), len(names) * int((~held).sum())
         sizes[name] = np.sqrt(square / n_numbers)
-    quantiles = {name: np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
-    tails = {one.sort: measure_tail(one.amplitude(zeta)) for one, zeta in terms if isinstance(one, FunctionsOfPose)}
-    rows = [(variant, name, *one, tails.get(name, float("nan"))) for name, one in quantiles.items()]
-    tables = {"model_error": pd.DataFrame(rows, columns=["variant", "term", "median_um", "q05_um", "q95_um", "tail"])}
+    quantiles = {name: factor * np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
+    tails = {one.sort: measure_tail(one.amplitude(zeta)) for one, zeta in terms if isinstance(one, GPTerm)}
+    middle, low, high = np.array(list(quantiles.values())).reshape(-1, 3).T
+    tail = [tails.get(name, float("nan")) for name in quantiles]
+    tables = {
+        "model_error": ModelErrorRow.tabulate(
+            variant=variant, term=list(quantiles), unit=unit, median=middle, q05=low, q95=high, tail=tail
+        )
+    }
     if functions:
         means = {name: np.concatenate([one.mean[name] for one in found]) for name in found[0].mean}
-        mean, (low, high) = means[TOGETHER], np.concatenate([one.interval for one in found], axis=1)
+        mean, (low, high) = means[SYSTEMATIC_TOTAL], np.concatenate([one.interval for one in found], axis=1)
         by_member = {name: np.sqrt(np.mean(means[name][~held] ** 2, axis=0)) for name in functions}
-        tables["model_error_members"] = pd.DataFrame(
-            [
-                {"variant": variant, "member": member, "term": name, "rms_um": rms[k]}
-                for k, member in enumerate(names)
-                for name, rms in by_member.items()
-            ]
+        tables["model_error_members"] = ModelErrorMemberRow.tabulate(
+            variant=variant,
+            member=np.repeat(names, len(by_member)),
+            term=list(by_member) * len(names),
+            unit=unit,
+            rms=factor * np.stack(list(by_member.values()), axis=1).ravel(),
         )
-        tables["model_error_poses"] = pd.DataFrame(
-            {
-                "variant": variant,
-                "pose": np.repeat(data.poses, len(names)),
-                "use": np.repeat(np.where(held, "verification", "calibration"), len(names)),
-                "member": np.tile(names, data.n_poses),
-                "mean_um": mean.ravel(),
-                "low_um": low.ravel(),
-                "high_um": high.ravel(),
-            }
+        tables["model_error_poses"] = ModelErrorPoseRow.tabulate(
+            variant=variant,
+            pose=np.repeat(data.poses, len(names)),
+            use=np.repeat(np.where(held, *reversed(USES)), len(names)),
+            member=np.tile(names, data.n_poses),
+            unit=unit,
+            mean=factor * mean.ravel(),
+            low=factor * low.ravel(),
+            high=factor * high.ravel(),
         )
         hidden, n = (hide_in_posterior(posterior, y, choose_unseen(error.lengths(), functions)), posterior.n_geometry)
         sd = posterior.natural(y)[:, :n].std(axis=0)
         known = posterior.sampling.names, posterior.units[:n]
-        tables["model_error_hidden"] = tabulate_hidden(variant, *known, hidden, sd)
+        tables["model_error_bias"] = tabulate_hidden(variant, *known, hidden, sd)
         # by how many nats one cause alone, or none, explains the data better than all, and its size then
         alone = weigh_causes(posterior, y.mean(axis=0), rng)
-        rows = [(variant, name, one.log_odds, *(np.array(one[1:]) / MICROMETRE)) for name, one in alone.items()]
-        columns = ["variant", "term", "log_odds", "median_um", "q05_um", "q95_um"]
-        tables["model_error_alone"] = pd.DataFrame(rows, columns=columns)
+        middle, low, high = factor * np.array([one[1:] for one in alone.values()]).reshape(-1, 3).T
+        tables["model_error_alone"] = ModelErrorAloneRow.tabulate(
+            variant=variant,
+            term=list(alone),
+            log_bayes_factor=[one.log_odds for one in alone.values()],
+            unit=unit,
+            median=middle,
+            q05=low,
+            q95=high,
+        )
     return {name: one for name, one in tables.items() if len(one)}
 
 
 @dataclass(frozen=True, eq=False)
 class _Functions:
-    """Functions of the pose of N own channels at P rows, µm at the tool, by sort and together."""
+    """Functions of the pose of N own channels at P rows, mm at the tool, by sort and together."""
 
     names: list[str]  # of the channels
     square: dict[str, Array]  # (T,): of each draw, the sum over calibration rows and channels
@@ -208,17 +246,17 @@ class _Functions:
     interval: Array  # (2, P, N): of all together
 
 
-def _draw_functions(data: Measurements, errors: Errors, draws: CommonDraws) -> tuple[list[str], dict[str, Array]]:
-    """Return names of own channels, and draws (T, P, N) of each sort of functions at rows, µm at the tool."""
+def _draw_functions(data: Measurements, errors: ErrorModel, draws: CommonDraws) -> tuple[list[str], dict[str, Array]]:
+    """Return names of own channels, and draws (T, P, N) of each sort of functions at rows, mm at the tool."""
     names, functions = list[str](), dict[str, Array]()
     for term, found in zip(errors.terms, draws.by_term(data) or [None] * len(errors.terms), strict=True):
-        if isinstance(term, FunctionsOfPose) and found is not None:
+        if isinstance(term, GPTerm) and found is not None:
             names = list(term.own.names)
-            functions[term.sort] = found[..., term.own.places] * (term.own.levers / MICROMETRE)
+            functions[term.sort] = found[..., term.own.places] * term.own.levers
     return names, functions
 
 
-def _find_centre(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws) -> Array:
+def _find_centre(data: Measurements, used: np.ndarray, errors: ErrorModel, draws: CommonDraws) -> Array:
     """Return means (T, 1, N) of functions of the own position over calibration rows: a channel's zero may be as well.
 
     Of many rows some are enough.
@@ -229,13 +267,15 @@ def _find_centre(data: Measurements, used: np.ndarray, errors: Errors, draws: Co
     return functions[OWN].mean(axis=1, keepdims=True) if OWN in functions else np.zeros((1, 1, 1))
 
 
-def _summarise(data: Measurements, used: np.ndarray, errors: Errors, draws: CommonDraws, centre: Array) -> _Functions:
+def _summarise(
+    data: Measurements, used: np.ndarray, errors: ErrorModel, draws: CommonDraws, centre: Array
+) -> _Functions:
     """Return what draws have of the functions at rows, of which some are for calibration; see `_find_centre`."""
     names, functions = _draw_functions(data, errors, draws)
     if OWN in functions:
         functions[OWN] = functions[OWN] - centre
     if functions:
-        functions[TOGETHER] = np.asarray(sum(functions.values()))
+        functions[SYSTEMATIC_TOTAL] = np.asarray(sum(functions.values()))
     square = {name: np.sum(one[:, used] ** 2, axis=(1, 2)) for name, one in functions.items()}
-    interval = np.quantile(functions[TOGETHER], INTERVAL, axis=0) if functions else np.zeros((2, 0, 0))
+    interval = np.quantile(functions[SYSTEMATIC_TOTAL], INTERVAL, axis=0) if functions else np.zeros((2, 0, 0))
     return _Functions(names, square, {name: one.mean(axis=0) for name, one in functions.items()}, interval)

@@ -2,7 +2,6 @@
 
 - Variants are compared within one set of data. Where two log-evidences differ by less than 1 nat, or by less than twice
   the error of their estimates, the variants fit equally well, and the simplest of them is the one to use.
-- Where variants fit equally well, the one with the fewest unknowns is named first, and said to be named for that.
 - What did not converge is not used, not ranked, not compared and never called converged; where it may be better, that
   is said in words.
 - One variant by itself is not ranked.
@@ -20,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_odds, format_percent, join_words
+from bayescal.report.numbers import format_odds, format_percent, name_some
 
 NOT_DISTINGUISHABLE = 1.0
 """Difference of log-evidences, nat, below which two variants fit equally well."""
@@ -34,8 +33,9 @@ ESTIMATES = (
     *("log_evidence", "log_evidence_se", "log_evidence_importance", "log_evidence_importance_se"),
     *("log_evidence_bridge", "log_evidence_bridge_se", "efficiency", "pareto_k"),
     *("elpd_loo", "elpd_loo_se", "elpd_loo_difference", "elpd_loo_difference_se", "stacking_weight"),
-    *("loo_pareto_k_max", "misfit_chi2", "misfit_dof", "pulls_chi2", "pulls_dof"),
-    *("rhat_max", "ess_bulk_min", "ess_tail_min"),
+    *("loo_pareto_k_max", "misfit_chi2", "misfit_dof", "prior_chi2", "prior_dof"),
+    *("rhat_max", "ess_bulk_min", "ess_tail_min", "elpd", "reduced_chi"),
+    *("distance_from_nominal_mm", "distance_from_nominal_prior_sd"),
 )
 """Of a variant in a study's summary: numbers that may not have come out, which JSON says by null."""
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
@@ -155,7 +155,7 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
     if not chosen.converged:
         return f"Use none yet: not converged (best so far: {label or chosen.label})"
     if rivals := find_rivals(candidates):
-        names = join_words([one.label for one in rivals])
+        names = name_some([one.label for one in rivals])
         return f"Use none yet: {names} did not converge and may be better (best so far: {label or chosen.label})"
     alike = group_candidates(candidates)[0]
     if len(candidates) == 1:
@@ -165,51 +165,23 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
         words += f", {simplest} of {say_count(len(alike))} that fit equally well"
     if failed:
         words += f" ({say_count(len(failed))} of {len(candidates)} did not converge)"
-    return f"{words}, with care (see the warnings)" if careful else words
-
-
-def say_named_first(candidates: Sequence[Candidate]) -> str:
-    """Return why the one to use is named before others that fit equally well; empty where none has fewer unknowns.
-
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        Of the same data; the first number of their sizes is that of the unknowns.
-    """
-    first, *others = next(iter(group_candidates(candidates)), candidates[:1])
-    if not others or not first.size[:1] < others[0].size[:1]:
-        return ""
-    counts = sorted({one.size[0] for one in others})
-    theirs = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    return f"{first.label} is named first because it has the fewest unknowns ({first.size[0]} against {theirs})"
+    return f"{words}, with care (see warnings)" if careful else words
 
 
 def state_rivals(candidates: Sequence[Candidate]) -> list[Statement]:
-    """Say which variants may be better than the one to use although nothing may be said of them yet."""
+    """Return the variants that did not converge and may be better than the one to use."""
     rivals = find_rivals(candidates)
     if not rivals:
         return []
-    names, its, it = join_words([one.label for one in rivals]), "its", "it"
-    if len(rivals) > 1:
-        its, it = "their", "them"
-    text = (
-        f"{names} may be better than {choose_candidate(candidates).label}: {its} sampling did not converge, and {its} "
-        f"log-evidence is not compared. Run {it} again with {RERUN}."
-    )
-    return [Statement(text, "warning", "Evidence")]
+    text = f"{name_some([one.label for one in rivals])} may be better than the variant to use, but did not converge."
+    return [Statement(text, "warning", "Evidence", value=len(rivals), limit=0.0, action=f"Use {RERUN}.")]
 
 
-def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statement]:
-    """Say which variants err less than the one to use although the data rule them out.
-
-    Parameters
-    ----------
-    what : str
-        The error that is compared, ``the largest position error``.
-    """
+def state_ruled_out(candidates: Sequence[Candidate]) -> list[Statement]:
+    """Return the variant with the smallest error where the data reject it against the one to use."""
     chosen = choose_candidate(candidates)
     less = [
-        f"{one.label} ({say_odds(chosen.log_evidence - one.log_evidence)} against it)"
+        one
         for one in candidates
         if one.error < chosen.error
         and one.converged
@@ -218,9 +190,10 @@ def state_ruled_out(candidates: Sequence[Candidate], what: str) -> list[Statemen
     ]
     if not less:
         return []
-    has, it = ("has", "it") if len(less) == 1 else ("have", "them")
-    text = f"{join_words(less)} {has} a smaller {what} than {chosen.label}, but the data rule {it} out."
-    return [Statement(text, "warning", "Accuracy")]
+    best = min(less, key=lambda one: one.error)
+    text = f"{best.label} has a smaller position error, but is rejected by the data (log Bayes factor)."
+    value = best.log_evidence - chosen.log_evidence
+    return [Statement(text, "warning", "Accuracy", value=value, limit=-DECISIVE, unit="nat")]
 
 
 # --- phrases ---------------------------------------------------------------------------------------------------------
@@ -261,29 +234,24 @@ def say_accuracy(amounts: Mapping[str, str], coverage: float | None = None) -> s
     return f"{words} ({what})"
 
 
-def say_requirements(probabilities: Mapping[str, float], subject: str = "the calibration") -> str:
-    """Return with which probability requirements are met, and which is least likely: never that they are met.
+def say_requirements(probabilities: Mapping[str, float]) -> str:
+    """Return whether requirements pass and with which probability, with the least likely of several.
 
     Parameters
     ----------
     probabilities : mapping of str to float
         Of each requirement by its name; of one called ``""``, of all of them together.
-    subject : str
-        What meets them: the plan, the calibration.
     """
     each = {name: one for name, one in probabilities.items() if name}
-    together = probabilities.get("")
     if not each:
-        return "Accuracy requirements: none stated"
+        return "requirements not stated"
+    if not all(map(math.isfinite, each.values())):
+        return "requirements fail: the machine's own sensors do not determine its pose"
     least = min(each, key=lambda name: each[name])
-    if len(each) == 1:
-        return f"{least}: {subject} meets the requirement with {say_probability(each[least])} probability"
-    if together is not None and math.isfinite(together):
-        words = f"{subject} meets all {len(each)} requirements with {say_probability(together)} probability"
-    else:
-        words = f"{subject} meets {len(each)} requirements"
-    least_words = f"least likely is {least} with {say_probability(each[least])}"
-    return f"{words[0].upper()}{words[1:]}; {least_words}"
+    together = probabilities.get("", math.nan)
+    together = together if math.isfinite(together) else each[least]
+    words = f"requirements {'pass' if together >= LIKELY else 'fail'}: P = {say_probability(together)}"
+    return words if len(each) == 1 else f"{words} for all {len(each)}, least {least} {say_probability(each[least])}"
 
 
 def rate_probability(probability: float) -> Level:
@@ -293,7 +261,7 @@ def rate_probability(probability: float) -> Level:
 
 def say_data_first(suspicion: str) -> str:
     """Return the first sentence of a headline of data that seem to be wrong: nothing else is advised beside it."""
-    return f"Correct the data first: {suspicion}. Rely on no figure before that"
+    return f"Correct the data first: {suspicion}. No figure is reliable until then"
 
 
 def write_headline(parts: Iterable[str]) -> str:

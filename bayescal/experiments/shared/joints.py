@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from bayescal.experiments.shared.rows import JointRow
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
@@ -16,7 +17,6 @@ from bayescal.numerics.geometry import Array
 MOST_POSES = 60  # more make the page heavy and nothing clearer
 DECIMALS = 3  # of a millimetre
 HOME = "home"
-COLUMNS = ("pose", "leg", "joint", "x_mm", "y_mm", "z_mm")
 
 
 def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]) -> pd.DataFrame:
@@ -32,9 +32,8 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
     Returns
     -------
     DataFrame
-        Columns pose, leg, joint (``base``, ``platform``, and at home the ends of the guides ``from`` and ``to``),
-        x_mm, y_mm, z_mm. Home comes first; poses that forward kinematics does not find are left out, as are those
-        beyond the first sixty.
+        Of rows `JointRow`. Home comes first, with the ends of the guides ``from`` and ``to``; poses that forward
+        kinematics does not find are left out, as are those beyond the first sixty.
     """
     start, names = mechanism.initial_actuator_positions, [HOME, *map(str, names[:MOST_POSES])]
     actuators = mechanism.place_actuators(np.vstack([start, actuators[:MOST_POSES]]))
@@ -51,10 +50,10 @@ def tabulate_joints(mechanism: Mechanism, actuators: Array, names: Sequence[str]
     if rows and mechanism.drive == "base":
         reach = mechanism.actuator_range * mechanism.directions
         rows += [_tabulate(HOME, "from", lower[0] - reach), _tabulate(HOME, "to", lower[0] + reach)]
-    return pd.concat(rows, ignore_index=True).round(DECIMALS) if rows else pd.DataFrame(columns=list(COLUMNS))
+    return pd.concat(rows, ignore_index=True).round(DECIMALS) if rows else JointRow.collect([])
 
 
 def _tabulate(pose: str, joint: str, points: Array) -> pd.DataFrame:
     """Return the rows of N points, shape (N, 3)."""
-    place = dict(zip(COLUMNS[3:], points.T, strict=True))
-    return pd.DataFrame({"pose": pose, "leg": np.arange(1, len(points) + 1), "joint": joint, **place})
+    x, y, z = points.T
+    return JointRow.tabulate(pose=pose, leg=np.arange(1, len(points) + 1), joint=joint, x_mm=x, y_mm=y, z_mm=z)

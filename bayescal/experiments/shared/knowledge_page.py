@@ -3,16 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from bayescal.experiments.frame.results import list_rows
-from bayescal.report.blocks import Block, Cell, Column, Fold, Level, Section, Statement, Table, make_section, make_table
-from bayescal.report.numbers import NOTHING, format_fixed, format_percent, format_significant
-from bayescal.report.symbols import Asked, format_place, name_unit, shown_in
+import numpy as np
+
+from bayescal.experiments.shared.rows import CandidatePoseRow, CombinationRow, ToolUncertaintyRow
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Fold,
+    KeyFigure,
+    Level,
+    PageSection,
+    Statement,
+    Table,
+    make_section,
+    make_table,
+)
+from bayescal.report.numbers import format_fixed, format_percent, format_significant
+from bayescal.report.row_tables import tabulate_rows
+from bayescal.report.style import GREY, LEG_COLOURS
+from bayescal.report.symbols import ChosenUnits, format_place, name_unit, shown_in
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure as Drawing
 
 VERDICT_LEVELS: dict[str, Level] = {
     "identifiable": "good",
@@ -22,73 +42,101 @@ VERDICT_LEVELS: dict[str, Level] = {
     "several": "warning",
 }
 """How good the news of a parameter's verdict is."""
-NO_TOOL = (
-    "The machine's class states no tool: its coordinates are reported instead. State tool_channels (names and units), "
-    "and tool() where the tool is something else than the coordinates."
-)
-ALIGNED = (
-    "It is what remains after a best fit of the base frame, and of the tool frame where the tool turns, over the "
-    "workspace. Unaligned figures are larger because they hold, too, how well it is known where these frames lie: a "
-    "convention, which no measurement of the machine's motion tells."
-)
-"""Why accuracy is stated with base and tool aligned, and why it differs otherwise."""
+NO_TOOL = "The machine's class states no tool: its coordinates are reported."
+TOOL_ACTION = "State tool_channels and tool()."
+BEFORE, AFTER = GREY, LEG_COLOURS[4]
 WORTHWHILE = 0.01  # of the mean squared error; what promises less is no advice
-SENSORS = {"all": "all", "own": "the machine's own"}
+SENSORS = {"all": "all", "own": "own"}
 
 
 def name_titles(tables: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return what the variants are called by their names."""
-    import pandas as pd  # a third of a second, for those who have tables
-
-    return {str(row["variant"]): str(row["title"]) for row in list_rows(tables.get("variants", pd.DataFrame()))}
+    return (
+        dict(zip(tables["variants"]["variant"], tables["variants"]["title"], strict=True))
+        if "variants" in tables
+        else {}
+    )
 
 
 def is_aligned(accuracy: pd.DataFrame) -> bool:
     """Whether a table of accuracies says what remains of errors once base and tool are aligned."""
-    return "frame" in accuracy and bool((accuracy["frame"] == "aligned").any())
+    return bool((accuracy["frame"] == "aligned").any())
 
 
-def show_accuracy(tables: Mapping[str, pd.DataFrame], variant: str = "", asked: Asked = None) -> Section | None:
+def show_predicted_error(known: Sequence[ToolUncertaintyRow], asked: ChosenUnits = None) -> KeyFigure:
+    """Return the predicted sd before and after calibration of the tool's least known length, else of its first."""
+    lengths = [row for row in known if row.unit == "mm"] or list(known[:1])
+    worst = max(lengths, key=lambda row: row.posterior_sd)
+    factor, unit = shown_in(worst.unit, asked)
+    before, after = (format_significant(factor * one, 2) for one in (worst.prior_sd, worst.posterior_sd))
+    level: Level = "good" if worst.posterior_sd < 0.5 * worst.prior_sd else "warning"
+    return KeyFigure(f"Predicted sd of {worst.coordinate}", f"{before} → {after}", unit, level)
+
+
+def show_predicted(rows: Sequence[ToolUncertaintyRow], aligned: bool) -> list[PageSection]:
+    """Return the tool's uncertainty before and after calibration as a section; none where nothing tells it."""
+    known = [row for row in rows if math.isfinite(row.posterior_sd)]
+    return [PageSection("Before and after", (illustrate_predicted(known, aligned),))] if known else []
+
+
+def illustrate_predicted(known: Sequence[ToolUncertaintyRow], aligned: bool) -> Figure:
+    """Return the tool's uncertainty before and after calibration in a picture."""
+    caption = "Predicted standard uncertainty of the tool, rms over the workspace, before and after calibration."
+    caption += " After best-fit alignment of base and tool frames." if aligned else ""
+    return Figure("before_after", caption, partial(draw_predicted, ToolUncertaintyRow.collect(known)))
+
+
+def draw_predicted(known: pd.DataFrame) -> Drawing:
+    """Return predicted uncertainties of the tool's numbers, a panel for each unit."""
+    from matplotlib.figure import Figure as Drawing  # a second to import, for those who draw
+
+    units = list(dict.fromkeys(known["unit"]))
+    figure = Drawing(figsize=(6.4, 1.0 + 0.45 * len(known)), layout="constrained")
+    ratios = [int((known["unit"] == unit).sum()) for unit in units]
+    panels = np.atleast_1d(figure.subplots(len(units), height_ratios=ratios))
+    for axes, unit in zip(panels, units, strict=True):
+        rows = known[known["unit"] == unit]
+        factor, name = shown_in(unit, None)
+        place = np.arange(len(rows))
+        axes.hlines(place, factor * rows["prior_sd"], factor * rows["posterior_sd"], color=GREY, linewidth=1.0)
+        for column, colour, label in (("prior_sd", BEFORE, "before"), ("posterior_sd", AFTER, "after")):
+            axes.plot(factor * rows[column], place, "o", color=colour, markersize=6, label=label)
+        axes.set_ylim(-0.6, len(rows) - 0.4)
+        axes.grid(visible=True, axis="x")
+        axes.set_yticks(place, list(rows["coordinate"]))
+        axes.invert_yaxis()
+        if (rows[["prior_sd", "posterior_sd"]] > 0.0).to_numpy().all():
+            axes.set_xscale("log")
+        axes.set_xlabel(f"Standard uncertainty in {name}" if name else "Standard uncertainty")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2)
+    return figure
+
+
+def show_accuracy(
+    tables: Mapping[str, pd.DataFrame], variant: str = "", asked: ChosenUnits = None
+) -> PageSection | None:
     """Return how accurate each variant's tool is, or its coordinates where no tool is stated.
 
     All others are folded behind a ``variant`` that is named.
     """
     if "accuracy" not in tables:
         return None
-    text = (
-        "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors alone: before the "
-        "calibration by the tolerances (prior), after it by what is unknown of parameters and systematic errors "
-        "together (posterior); the noise of one set of readings comes on top. A dash: its own sensors do not "
-        "determine it."
-    )
-    if is_aligned(tables["accuracy"]):
-        text += f" {ALIGNED}"
+    text = "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors"
+    text += ", after best-fit alignment of base and tool frames." if is_aligned(tables["accuracy"]) else "."
     first = tables["accuracy"]["variant"] == variant
     every, titles = tables["accuracy"], name_titles(tables)
     blocks: list[Block] = [_tabulate_accuracy(every[first] if first.any() else every, titles, asked)]
     if first.any() and not first.all():
         blocks.append(Fold("The other variants", (_tabulate_accuracy(every[~first], titles, asked),)))
-    return Section("How accurate the machine is", (text, *blocks))
+    return PageSection("Tool uncertainty", (text, *blocks))
 
 
-def _tabulate_accuracy(accuracy: pd.DataFrame, titles: Mapping[str, str], asked: Asked) -> Table:
+def _tabulate_accuracy(accuracy: pd.DataFrame, titles: Mapping[str, str], asked: ChosenUnits) -> Table:
     """Return the rows of some variants."""
-    group = "rms over the workspace"
-    columns = [Column("Variant", kind="text"), Column("Tool", kind="text"), Column("Unit", kind="text")]
-    columns += [Column(one, group=group) for one in ("before", "after", "noise of one reading")]
-    columns += [Column("largest after"), Column("at", kind="text")]
-    aligned = is_aligned(accuracy)
-    if aligned:
-        columns += [Column(one, group="unaligned") for one in ("rms after", "largest after")]
-    rows: list[list[str | Cell]] = []
-    for row in list_rows(accuracy):
-        factor, unit = shown_in(row["unit"], asked)
-        numbers = (format_significant(factor * row[name]) for name in ("before", "after", "noise"))
-        worst = format_significant(factor * row["worst"]) if "worst" in row else NOTHING
-        at = str(row.get("worst_at", NOTHING))
-        base = [format_significant(factor * row[name]) for name in ("unaligned", "worst_unaligned") if aligned]
-        rows.append([titles[row["variant"]], str(row["coordinate"]), unit, *numbers, worst, at, *base])
-    return make_table("Predicted standard uncertainty.", columns, rows)
+    rows = [replace(row, variant=titles[row.variant]) for row in ToolUncertaintyRow.read(accuracy)]
+    without = () if is_aligned(accuracy) else ("unaligned_sd", "max_unaligned_sd")
+    return tabulate_rows("Predicted standard uncertainty.", rows, asked, without)
 
 
 def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Statement]:
@@ -97,8 +145,7 @@ def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[State
         return []
     mine = tables["ridges"][tables["ridges"]["variant"] == variant]
     return [
-        Statement(f"Contraction of this combination {format_fixed(row['contraction'], 2)}: {row['sentence']}")
-        for row in list_rows(mine)
+        Statement(f"Contraction {format_fixed(row.contraction, 2)}: {row.text}") for row in CombinationRow.read(mine)
     ]
 
 
@@ -107,53 +154,48 @@ def _say_gain(gain: float) -> str:
     return format_percent(1.0 - math.sqrt(max(0.0, 1.0 - gain)), 1)
 
 
-def _read_next(tables: Mapping[str, pd.DataFrame], variant: str) -> pd.DataFrame:
-    """Return a variant's candidate poses whose gain is known, and the columns of its coordinates; no rows without."""
-    import pandas as pd  # a third of a second, for those who have tables
+def _read_candidates(tables: Mapping[str, pd.DataFrame], variant: str) -> list[CandidatePoseRow]:
+    """Return a variant's candidate poses whose variance reduction is known, with its coordinates alone."""
+    found = [one for one in CandidatePoseRow.read(tables["next"]) if one.variant == variant] if "next" in tables else []
+    known = [one for one in found if math.isfinite(one.variance_reduction)]
+    return [replace(one, others={name: x for name, x in one.others.items() if math.isfinite(x)}) for one in known]
 
-    rows = tables.get("next", pd.DataFrame(columns=["variant", "sensors", "gain"]))
-    return rows[(rows["variant"] == variant) & rows["gain"].notna()].dropna(axis=1, how="all")
 
-
-def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Statement]:
+def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: ChosenUnits = None) -> list[Statement]:
     """Return where to measure next with each set of sensors, where that promises something."""
-    mine, found = _read_next(tables, variant), []
-    if mine.empty:
-        return []
-    for sensors, rows in mine.groupby("sensors", sort=False):
-        first = list_rows(rows)[0]
-        if first["gain"] < WORTHWHILE:
+    first = {one.sensors: one for one in reversed(_read_candidates(tables, variant))}
+    found = []
+    for sensors, row in reversed(first.items()):
+        if row.variance_reduction < WORTHWHILE:
             continue
         place = [
             f"{name.rpartition('_')[0]} = {format_place(name, value, asked)} {name_unit(name, asked)}"
-            for name, value in first.items()
-            if name not in ("variant", "sensors", "gain")
+            for name, value in row.others.items()
         ]
-        text = f"Measure next, with {SENSORS[str(sensors)]} sensors, at {', '.join(place)}: best of the candidate poses"
-        found.append(Statement(f"{text}, expected to reduce the error by {_say_gain(first['gain'])}.", "plain", "Next"))
+        text = f"Best candidate pose ({SENSORS[sensors]} sensors): {', '.join(place)}."
+        gain = 1.0 - math.sqrt(max(0.0, 1.0 - row.variance_reduction))
+        action = f"Measure it: the error falls by {format_percent(gain, 1)}."
+        found.append(Statement(text, lead="Next", value=100.0 * gain, unit="%", action=action))
     return found
 
 
-def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: Asked = None) -> list[Section]:
+def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: ChosenUnits = None) -> list[PageSection]:
     """Return the candidate poses that reduce a variant's error most."""
-    mine = _read_next(tables, variant)
-    if mine.empty:
+    mine = _read_candidates(tables, variant)
+    if not mine:
         return []
-    names = [str(name) for name in mine.columns if name not in ("variant", "sensors", "gain")]
+    names = list(mine[0].others)
     columns = [Column("Sensors", kind="text")]
     columns += [Column(name.rpartition("_")[0], name_unit(name, asked)) for name in names]
     columns.append(Column("Error falls by"))
     rows: list[list[str | Cell]] = [
         [
-            SENSORS[str(row["sensors"])],
-            *(format_place(name, row[name], asked) for name in names),
-            _say_gain(row["gain"]),
+            SENSORS[row.sensors],
+            *(format_place(name, row.others[name], asked) for name in names),
+            _say_gain(row.variance_reduction),
         ]
-        for row in list_rows(mine)
+        for row in mine
     ]
-    text = (
-        "Random poses of the workspace; the error is the rms standard uncertainty of the tool over the workspace, as "
-        "it is expected after one more set of readings there.",
-    )
+    text = ("The error is the rms standard uncertainty of the tool over the workspace.",)
     table = make_table("The best of the candidate poses.", columns, rows)
     return [make_section("What to measure next", text, (table,))]

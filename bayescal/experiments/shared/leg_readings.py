@@ -11,13 +11,13 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, Prior
-from bayescal.experiments.shared.slip_rows import Readings
+from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, FoundSlip
-from bayescal.machines.readings import Legs, legs_of
+from bayescal.machines.readings import Legs, as_legs
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, rotation_vector_from_matrix
 
 MOVED = 1.0  # mm, by which each leg may have moved since its calibration
@@ -42,15 +42,15 @@ def place_legs(
     poses: MeasuredPoses,
     noise: Array | float,
     priors: Mapping[str, Prior],
-    errors: Errors,
+    errors: ErrorModel,
     fixed: Mapping[str, float],
-) -> Readings:
+) -> VariantReadings:
     """Return poses measured of a machine on legs as readings; where these are NaN, a coordinate was not measured.
 
     ``noise`` is that of the actuators, mm, (P, N) or one for all. Poses that are not known whole are looked for where
     the nominal machine stands at the same actuator positions.
     """
-    from bayescal.calibrated.recheck.plan import place_poses
+    from bayescal.calibrated.verify.plan import place_poses
 
     turned = np.isfinite(poses.rotation).all(axis=(1, 2))
     rotation = rotation_vector_from_matrix(np.where(turned[:, None, None], poses.rotation, np.eye(3)))
@@ -64,17 +64,17 @@ def place_legs(
         pose[missing] = np.where(found[:, None], nominal, model.home_pose)
     likelihood = CalibrationLikelihood(model, data, 1.0, pose).plain
     posterior: CalibrationPosterior = Posterior(likelihood, priors, errors, fixed)
-    return Readings(posterior, pose.min(axis=0), pose.max(axis=0), own < model.n_legs)
+    return VariantReadings(posterior, pose.min(axis=0), pose.max(axis=0), own < model.n_legs)
 
 
-def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
+def find_reverification_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> FoundSlip | None:
     """Return what explains poses measured after a calibration many times better than they are; None without any.
 
-    Single channels and frames are left to the recheck itself: what they read otherwise is a shift of a parameter. So is
-    a leg that moved: by so much each may be off in all rows. The calibrated machine has its posterior's covariance, and
-    poses are whole, in the base frame.
+    Single channels and frames are left to the reverification itself: what they read otherwise is a shift of a
+    parameter. So is a leg that moved: by so much each may be off in all rows. The calibrated machine has its
+    posterior's covariance, and poses are whole, in the base frame.
     """
-    legs = legs_of(calibrated.model)
+    legs = as_legs(calibrated.model)
     assert legs is not None
     names, theta, sd = legs.layout.names, calibrated.theta, calibrated.sd
     known = list(zip(names, theta.tolist(), sd.tolist(), strict=True))
@@ -84,5 +84,5 @@ def find_recheck_slip(calibrated: CalibratedMachine, poses: MeasuredPoses) -> Fo
     noise = np.sqrt(np.diagonal(errors.noise) + errors.model_variance)
     n = len(noise)
     moved = np.broadcast_to(MOVED * np.eye(n + DEGREES_OF_FREEDOM, n), (poses.n_poses, n + DEGREES_OF_FREEDOM, n))
-    readings = place_legs(legs, poses, noise, priors, Errors((SharedErrors(moved),)), fixed)
+    readings = place_legs(legs, poses, noise, priors, ErrorModel((SharedErrors(moved),)), fixed)
     return find_slip([readings], (CHANNEL, FRAME))

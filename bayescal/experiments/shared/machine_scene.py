@@ -15,7 +15,7 @@ type Joint = tuple[str, int]
 
 SYMBOLS = {"base": "a", "platform": "b"}
 AXES = ("x", "y", "z")
-NOTHING: Triple = (0.0, 0.0, 0.0)
+ORIGIN: Triple = (0.0, 0.0, 0.0)
 CAPTION = (
     "The machine with its joints: turn it with mouse, finger or arrow keys; a point under the pointer tells where it "
     "is. Symbols are those of leg 1: a, joint at the base; b, joint on the platform (blue); l, length of the leg{}."
@@ -59,7 +59,7 @@ def build_scene(
             words = f"{SYMBOLS[joint]} of leg {leg}"
             group: Group = "base" if joint == "base" else "platform"
             points.append(
-                ScenePoint(words, group, at, offsets.get((joint, leg), NOTHING), spreads.get((joint, leg), NOTHING))
+                ScenePoint(words, group, at, offsets.get((joint, leg), ORIGIN), spreads.get((joint, leg), ORIGIN))
             )
     n = len(legs)
     lines = [SceneLine(_order(points[k : k + n], k), points[k].group, closed=True) for k in (0, n)]

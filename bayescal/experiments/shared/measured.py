@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import KnownErrors
+from bayescal.density.calibration.terms import CorrelatedNoise
 from bayescal.errors import InputError
-from bayescal.experiments.shared.slip_rows import Readings
+from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.numerics.geometry import Array
 
 
-class Measuring(ABC):
+class MeasuringKind(ABC):
     """A kind of experiment that measures a machine."""
 
     @abstractmethod
@@ -50,14 +50,14 @@ class MeasuredReadings:
         return 0.5 * (self.high - self.low)
 
     @cached_property
-    def anchored(self) -> CalibrationPosterior:
+    def with_pose_guesses(self) -> CalibrationPosterior:
         """The posterior of the readings that looks for poses near those of its least-squares solution."""
-        return self.posterior.anchored()
+        return self.posterior.with_pose_guesses()
 
     @property
-    def readings(self) -> Readings:
+    def readings(self) -> VariantReadings:
         """The readings, of which causes of a misfit are weighed."""
-        return Readings(self.posterior, self.low, self.high, self.internal)
+        return VariantReadings(self.posterior, self.low, self.high, self.internal)
 
     def count_by_row(self) -> MeasuredReadings:
         """Return the variant with known errors that all rows have in common as noise of each row by itself.
@@ -65,12 +65,12 @@ class MeasuredReadings:
         What K from targets lacks is another error in another measurement, or at poses that nobody measured.
         """
         errors, likelihood = self.posterior.errors, self.posterior.likelihood
-        known, data = [one for one in errors.terms if isinstance(one, KnownErrors)], likelihood.data
+        known, data = [one for one in errors.terms if isinstance(one, CorrelatedNoise)], likelihood.data
         if not known:
             return self
         square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
         noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
-        others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, KnownErrors)))
+        others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, CorrelatedNoise)))
         return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=others))
 
     def pick(self, rows: np.ndarray) -> MeasuredReadings:
@@ -100,10 +100,26 @@ def measure_variants(
     InputError
         Where it measures no machine, or has no such variant.
     """
-    if not isinstance(experiment, Measuring):
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', with measured data")
+    measuring = check_measures(experiment, config, path)
     known = [one.name for one in config.variants]
     for name in names:
         if name not in known:
             raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
-    return experiment.measure(config, path, names or known, with_model_error)
+    return measuring.measure(config, path, names or known, with_model_error)
+
+
+def check_measures(experiment: object, config: Any, path: Path) -> MeasuringKind:
+    """Return the kind of experiment of a file; InputError where it measures no machine."""
+    if not isinstance(experiment, MeasuringKind):
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', with measured data")
+    return experiment
+
+
+def choose_variant(name: str | None, config: StudyConfig, path: Path) -> str:
+    """Return which variant of a file's study a config of another kind is about: its only one where none is named."""
+    known = [one.name for one in config.variants]
+    if not name and len(known) == 1:
+        return known[0]
+    if name not in known:
+        raise InputError(f"{path}: variant: found {name or 'none'!r}, expected one of {', '.join(known)}")
+    return name

@@ -7,20 +7,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import OF_NOISE, IndependentErrors
+from bayescal.density.calibration.model_error import OF_NOISE, RandomTerm
 from bayescal.density.calibration.terms import ErrorTerm
 from bayescal.experiments.shared.function_errors import has_lengths
 from bayescal.experiments.shared.slip_causes import NOISE, SCATTER, TOLERANCE, WIDE
-from bayescal.experiments.shared.slip_rows import Readings, integrate_sizes, profile
-from bayescal.experiments.shared.slip_search import (
-    ALIKE,
-    CauseFit,
-    SlipSearch,
+from bayescal.experiments.shared.slip_rows import (
+    VariantReadings,
+    integrate_sizes,
     leave_out_drift,
     leave_out_outliers,
+    profile,
 )
-from bayescal.experiments.shared.slip_verdict import STATED, SURE, Rival, Weighed
-from bayescal.experiments.shared.slips import LARGE, Misstated
+from bayescal.experiments.shared.slip_search import (
+    RIVAL_WITHIN_NAT,
+    CauseFit,
+    SlipSearch,
+)
+from bayescal.experiments.shared.slip_verdict import MIN_CAUSE_GAIN_NAT, STATED, Rival, ScoredCause
+from bayescal.experiments.shared.slips import EITHER, LARGE, MisstatedInput
 from bayescal.experiments.shared.soundness import ChiSquare
 from bayescal.identifiability.requirements import Requirement
 from bayescal.numerics.geometry import Array
@@ -30,22 +34,23 @@ from bayescal.report.symbols import format_amount
 SURE_OF_SCATTER = 5.0
 """Nats by which rows have to be explained worse without independent errors of each: one in a thousand by chance."""
 ABSENT = -6.0  # coordinate of a size that is not there
-FAR = 5.0
+MAX_SIZE_RATIO = 5.0
 """Size of a model error in the median of its prior from which on it is far beyond what was allowed for."""
 SURE_OF_SIZE = 10.0
 """Nats by which readings have to be explained worse by errors as large as was allowed for."""
-NEAR = 0.8  # of these limits, from which on sizes are looked for without any limit
+UNLIMITED_SEARCH_FRACTION = 0.8  # of these limits, from which on sizes are looked for without any limit
 AT_ONCE = 40  # rows over which errors at the tool are averaged
 
 
 def find_misstated(
-    variants: Iterable[Readings], required: Sequence[Requirement] = (), rivals: Sequence[Rival] = ()
-) -> Misstated | None:
+    variants: Iterable[VariantReadings], required: Sequence[Requirement] = (), rivals: Sequence[Rival] = ()
+) -> MisstatedInput | None:
     """Return what noise or tolerance is stated wrong by the readings that nothing else explains as well; None if none.
 
     Of several variants the one that explains its readings best is asked. What a check names competes, but for tables
     read otherwise, which `find_slip` looks for. Where readings scatter from row to row by more than their noise as
-    stated, and another noise explains that as well as a model error does, both are said: data cannot tell them apart.
+    stated, and another noise explains that as well as a model error does, both are said: data cannot tell them apart;
+    so of tolerances that are far too tight, where wider ones leave nothing for a model error to explain.
     Where none of these is named, and the readings need errors far beyond what was allowed for, that is said, with the
     most probable single cause beside. That tolerances are too wide is said where nothing else is.
 
@@ -66,25 +71,26 @@ def find_misstated(
     stated = found.first is not None and found.first.fault in (NOISE, TOLERANCE)
     if found.first is not None and stated:
         best = next(one for one in found.weighed if one.cause.fault == found.first.fault)
-        return Misstated(found.first.fault, found.first.text, best.factor, best.gain)
+        return MisstatedInput(found.first.fault, found.first.text, best.factor, best.gain)
     large = _find_large(asked, whole, required, [*asked.list_rivals(found.weighed), *rivals])
     if large is not None or found.first is not None:
         return large
-    if (scatter := _find_scatter(asked, found.weighed)) is not None:
-        return scatter
-    wide = [one for one in found.weighed if one.cause.fault == WIDE and one.gain > SURE]
-    return Misstated(WIDE, wide[0].text, wide[0].factor, wide[0].gain) if wide else None
+    either = _find_scatter(asked, found.weighed) or _find_taken_up(asked, found.weighed)
+    if either is not None:
+        return either
+    wide = [one for one in found.weighed if one.cause.fault == WIDE and one.gain > MIN_CAUSE_GAIN_NAT]
+    return MisstatedInput(WIDE, wide[0].text, wide[0].factor, wide[0].gain) if wide else None
 
 
-def _find_scatter(search: SlipSearch, weighed: list[Weighed]) -> Misstated | None:
+def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedInput | None:
     """Return the noises that explain a scatter of the rows as well as errors of the model; None if there is none.
 
     There is one where rows are explained far worse without errors that are drawn independently at each.
     """
     noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
-    noises = [one for one in noises if one.gain + one.cost > -ALIKE]
+    noises = [one for one in noises if one.gain + one.cost > -RIVAL_WITHIN_NAT]
     terms, base = search.posterior.errors.terms, search.as_is
-    drawn = np.array([isinstance(one, IndependentErrors) for one in terms for _ in one.names], dtype=bool)
+    drawn = np.array([isinstance(one, RandomTerm) for one in terms for _ in one.names], dtype=bool)
     if not noises or base is None or not drawn.any():
         return None
     weigh = base.weigher.weigh
@@ -94,7 +100,30 @@ def _find_scatter(search: SlipSearch, weighed: list[Weighed]) -> Misstated | Non
         return None
     said = " (or: ".join(one.text for one in noises[:2])
     text = f"rows scatter by more than the stated noise, which tau of the model error takes up; as well, {said}"
-    return Misstated(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
+    return MisstatedInput(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
+
+
+def _find_taken_up(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedInput | None:
+    """Return the tolerances that explain as well what errors of the model take up; None if there are none.
+
+    Wider ones have to leave nothing for a model error to explain.
+    """
+    base, errors = search.as_is, search.posterior.errors
+    tight = [one for one in weighed if one.cause.fault == TOLERANCE and one.gain > -RIVAL_WITHIN_NAT]
+    tight = [one for one in tight if one.factor >= MAX_SIZE_RATIO and one.rms_without_model_error <= STATED]
+    if not tight or base is None or search.rms_without_model_error <= STATED:
+        return None
+    kinds = [(one.of_model and _adds(one), unit) for one in errors.terms for unit in one.units]
+    kinds += [(False, "")] * (len(base.zeta) - len(kinds))  # of outliers
+    mine = np.array([kind[0] for kind in kinds], dtype=bool)
+    if not mine.any():  # no error of the model is there that could take up anything
+        return None
+    sizes, weigh = errors.natural(base.zeta), base.weigher.weigh
+    first = int(np.where(mine, sizes, 0.0).argmax())
+    size = _say_size(search.readings, float(np.linalg.norm(sizes[mine])), *kinds[first])
+    loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(mine, ABSENT, zeta)), base.zeta)[0]
+    text = f"{tight[0].text} (or the machine errs by {size}, which explains the readings as well)"
+    return MisstatedInput(EITHER, text, tight[0].factor, loss)
 
 
 # --- errors far beyond what was allowed for --------------------------------------------------------------------------
@@ -115,8 +144,8 @@ class _Excess:
 
 
 def _find_large(
-    asked: SlipSearch, whole: Readings, required: Sequence[Requirement], rivals: Sequence[Rival]
-) -> Misstated | None:
+    asked: SlipSearch, whole: VariantReadings, required: Sequence[Requirement], rivals: Sequence[Rival]
+) -> MisstatedInput | None:
     """Return that readings need errors far beyond what was allowed for, or required; None where they do not.
 
     Parameters
@@ -131,7 +160,10 @@ def _find_large(
     """
     if asked.as_is is None:
         return None
-    if not _list_excesses(asked, asked.as_is, required, NEAR) and _measure_misfit(asked.as_is).factor <= STATED:
+    if (
+        not _list_excesses(asked, asked.as_is, required, UNLIMITED_SEARCH_FRACTION)
+        and _measure_misfit(asked.as_is).factor <= STATED
+    ):
         return None
     search = asked
     if len(whole.posterior.errors.terms) > len(asked.posterior.errors.terms):
@@ -143,7 +175,7 @@ def _find_large(
         loss = _measure_loss(fit, one.most)
         if loss > one.sure:
             less = f"errors that are not make them {format_significant(loss, 2)} nats less probable"
-            return Misstated(LARGE, f"{one.said} ({less}){_say_rival(fit, rivals)}", one.factor, loss)
+            return MisstatedInput(LARGE, f"{one.said} ({less}){_say_rival(fit, rivals)}", one.factor, loss)
     misfit = _measure_misfit(fit)
     if misfit.factor <= STATED or not misfit.is_off:
         return None
@@ -152,13 +184,13 @@ def _find_large(
         f"the stated noise{' and the largest model error that helps' if search.posterior.errors.terms else ''}"
     )
     gain = 0.5 * misfit.dof * (misfit.factor**2 - 1.0 - 2.0 * float(np.log(misfit.factor)))
-    return Misstated(LARGE, f"{text}{_say_rival(fit, rivals)}", misfit.factor, gain)
+    return MisstatedInput(LARGE, f"{text}{_say_rival(fit, rivals)}", misfit.factor, gain)
 
 
 def _say_rival(fit: CauseFit, rivals: Sequence[Rival]) -> str:
     """Return which single cause explains readings instead of a model error of any size, with its odds."""
     best = max(rivals, key=lambda one: one.value, default=None)
-    if best is None or best.value - fit.value < -ALIKE:
+    if best is None or best.value - fit.value < -RIVAL_WITHIN_NAT:
         return "; of all single causes that were tried none explains them as well"
     gain = best.value - fit.value
     odds = format_odds(gain) if gain > 0.0 else f"1 to {format_odds(-gain).removesuffix(' to 1')}"
@@ -182,7 +214,7 @@ def _measure_loss(fit: CauseFit, most: Array) -> float:
 def _list_excesses(
     search: SlipSearch, fit: CauseFit, required: Sequence[Requirement], share: float = 1.0
 ) -> list[_Excess]:
-    """Return by what a fitted model error exceeds `FAR` times what was allowed for, and requirements, or a share."""
+    """Return by what a fitted model error exceeds `MAX_SIZE_RATIO` times its prior, and requirements, or a share."""
     errors = search.posterior.errors
     whose = [(one.of_model, unit) if _adds(one) else None for one in errors.terms for unit in one.units]
     whose += [None] * (len(fit.zeta) - len(whose))  # of outliers
@@ -198,7 +230,7 @@ def _exceed_allowed(search: SlipSearch, fit: CauseFit, whose: list[_Kind], share
     for kind in dict.fromkeys(one for one in whose if one is not None):
         mine = np.array([one == kind for one in whose])
         size, allowed = float(np.linalg.norm(sizes[mine])), float(middle[mine][sizes[mine].argmax()])
-        if size <= share * FAR * allowed:
+        if size <= share * MAX_SIZE_RATIO * allowed:
             continue
         amounts = [_say_size(search.readings, one, *kind) for one in (size, allowed)]
         text = f"the readings need errors of {amounts[0]}, far beyond the {amounts[1].split(' at ')[0]} allowed for"
@@ -221,7 +253,7 @@ def _exceed_required(
         for k, (prior, kind) in enumerate(zip(errors.priors, whose, strict=True)):
             if kind is not None and kind[0] and smaller[k] > 0.0:
                 most[k] = prior.standardise(smaller[k])
-        yield _Excess(size / one.limit, text, most, SURE)
+        yield _Excess(size / one.limit, text, most, MIN_CAUSE_GAIN_NAT)
 
 
 def _adds(term: ErrorTerm) -> bool:
@@ -229,7 +261,7 @@ def _adds(term: ErrorTerm) -> bool:
     return type(term).factor is ErrorTerm.factor
 
 
-def _say_size(readings: Readings, size: float, of_model: bool, unit: str) -> str:
+def _say_size(readings: VariantReadings, size: float, of_model: bool, unit: str) -> str:
     """Return the size of errors in words: of a model error at the tool, or in the noise where that has no lengths."""
     if not of_model:
         return format_amount(size, unit)

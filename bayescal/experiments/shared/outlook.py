@@ -8,14 +8,14 @@ import numpy as np
 
 from bayescal.identifiability.directions import judge_parameters
 from bayescal.identifiability.information import information_of_rows
-from bayescal.limits import DEAD, INFORMED
+from bayescal.limits import IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_count, join_words
 
 NAMED = 6
 
 
-def tell_outlook(counted: str, rows: Array, names: Sequence[str]) -> str:
+def describe_determinacy(counted: str, rows: Array, names: Sequence[str]) -> str:
     """Return in a line how many combinations of parameters data determine, and how many stay at their tolerances.
 
     Parameters
@@ -30,7 +30,10 @@ def tell_outlook(counted: str, rows: Array, names: Sequence[str]) -> str:
     information = information_of_rows(rows, np.ones(len(names)))
     values, _ = information.spectrum()
     contraction = values / (1.0 + values)
-    known, dead = int(np.sum(contraction >= INFORMED)), int(np.sum(contraction < DEAD))
+    known, dead = (
+        int(np.sum(contraction >= IDENTIFIABLE_CONTRACTION)),
+        int(np.sum(contraction < UNIDENTIFIABLE_CONTRACTION)),
+    )
     weak, m = len(names) - known - dead, len(names)
     if known == m:
         every = {1: "the one combination", 2: "both combinations"}.get(m, f"all {format_count(m)} combinations")

@@ -20,7 +20,7 @@ def read_requirements(
     stated: Mapping[str, float],
     model: ReadingModel,
     section: UnitsConfig,
-    of: Literal["every_pose", "rms"] = "every_pose",
+    of: Literal["all_poses", "rms"] = "all_poses",
 ) -> tuple[Requirement, ...]:
     """Return the largest errors that are allowed, in inner units; InputError for what the tool does not have.
 

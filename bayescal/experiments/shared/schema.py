@@ -73,7 +73,7 @@ class RotationNoiseConfig(Section):
     orientation_arcsec: Positive | None = None
     """Standard deviation of a rotation, each axis; none is measured where neither this nor a table states it."""
     orientation_urad: Positive | None = Field(default=None, exclude_if=lambda value: value is None)
-    """The same in microradians, in place of arcseconds."""
+    """The same in microradians, instead of arcseconds."""
 
     @model_validator(mode="after")
     def _check_one_unit(self) -> Self:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from bayescal.density.calibration.model_error import FunctionsOfPose, ThinFunctionsOfPose
+from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm
 from bayescal.density.calibration.poses import MANY_ROWS
 from bayescal.density.components import AT_ONCE
-from bayescal.density.few_columns import list_gram_arrays
-from bayescal.experiments.frame.memory import Need, check_arrays, estimate_arrays
-from bayescal.experiments.shared.trees import limit_draws
+from bayescal.density.low_rank_covariance import list_gram_arrays
+from bayescal.experiments.runner.memory import MemoryEstimate, check_arrays, estimate_arrays
+from bayescal.experiments.shared.posterior_files import limit_draws
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def check_readings(n_poses: int, n_channels: int, n_parameters: int, n_coordinat
 
 # --- of a calibration's variants ------------------------------------------------------------------------------------
 
-WHOLE, TOGETHER, ACTED = 4, 6, 3
+WHOLE, BATCH, ACTED = 4, 6, 3
 """Covariances of all readings, batches of those of all equations, and what coefficients do to all readings, at once."""
 
 
@@ -77,11 +77,11 @@ def list_variant(variant: Variant) -> list[Sequence[float]]:
 
 def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list[Sequence[float]]:
     """Return the arrays of errors that are functions of the pose."""
-    terms = [one for one in variant.errors.terms if isinstance(one, FunctionsOfPose)]
+    terms = [one for one in variant.errors.terms if isinstance(one, GPTerm)]
     n_columns = sum(one.most_columns for one in terms)
     if not terms:
         return []
-    if any(isinstance(one, ThinFunctionsOfPose) for one in terms):
+    if any(isinstance(one, LowRankGPTerm) for one in terms):
         n = len(terms[0].own.places)
         return [
             (ACTED, n_readings, n_columns),
@@ -91,7 +91,7 @@ def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list
     return [
         (len(terms), n_equations, n_equations),
         (WHOLE, n_readings, n_readings),
-        (TOGETHER, max(AT_ONCE, n_equations**2)),
+        (BATCH, max(AT_ONCE, n_equations**2)),
         (ACTED, n_readings, n_columns),
     ]
 
@@ -101,7 +101,7 @@ def find_largest(variants: Mapping[str, Variant]) -> Variant:
     return max(variants.values(), key=lambda one: len(one.start) * len(one.priors))
 
 
-def estimate_calibration(inputs: ReadingInputs) -> Need:
+def estimate_calibration(inputs: ReadingInputs) -> MemoryEstimate:
     """Return what a calibration needs."""
     largest, config = find_largest(inputs.variants), inputs.config
     n_poses, n_parameters, n_channels = len(largest.start), len(largest.priors), len(largest.model.channels)

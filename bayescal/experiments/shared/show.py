@@ -20,7 +20,7 @@ from bayescal.machines.readings.line_machine import AXES, LineMachine
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
 from bayescal.numerics.geometry import Array
-from bayescal.report.blocks import Block, Column, Definitions, Page, Section, Table, make_table
+from bayescal.report.blocks import Block, Column, Definitions, Page, PageSection, Table, make_table
 from bayescal.report.numbers import format_plain
 from bayescal.report.scene import Group, Scene, SceneLine, ScenePoint, Triple
 
@@ -67,7 +67,10 @@ def describe_machine(path: Path) -> Page:
 def _make_page(
     name: str, headline: str, shown: tuple[Block, ...], table: Table, parts: str = "legs", symbols: tuple[str, ...] = ()
 ) -> Page:
-    sections = (Section("The machine", shown, "machine"), Section(f"Joints and {parts}", (table,), "joints", "Joints"))
+    sections = (
+        PageSection("The machine", shown, "machine"),
+        PageSection(f"Joints and {parts}", (table,), "joints", "Joints"),
+    )
     return Page("Machine", name, name, "", headline, (), sections, symbols=symbols)
 
 

@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.data.instruments.read_poses import FIXED, ROLL_PITCH_YAW, name_angles
 from bayescal.experiments.shared.slip_given import list_exchanged, list_rescaled
-from bayescal.experiments.shared.slip_rows import NARROWER, VAGUE, WIDER, Readings, Table
+from bayescal.experiments.shared.slip_rows import NARROWER, WIDE_PRIOR_SD, WIDER, RowReadings, VariantReadings
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.gains import find_gains
-from bayescal.machines.readings.placed import Placed
+from bayescal.machines.readings.placed import InstrumentedMachine
 from bayescal.numerics.geometry import (
     Array,
     compute_left_jacobian,
@@ -89,7 +89,7 @@ class Cause:
 
     fault: str
     text: str
-    table: Table | None = None
+    table: RowReadings | None = None
     columns: Array | None = None  # (P, K, k)
     most: float = np.inf  # standard deviation of the columns' unknowns
     scaled: int | None = (
@@ -108,7 +108,7 @@ class Cause:
     scope: str = ""
 
 
-def list_tables(readings: Readings) -> Iterator[Cause]:
+def list_tables(readings: VariantReadings) -> Iterator[Cause]:
     """Yield what may have happened to columns of numbers."""
     yield from _list_columns(readings)
     yield from (Cause(UNIT, text, table) for text, table in list_rescaled(readings))
@@ -118,7 +118,7 @@ def list_tables(readings: Readings) -> Iterator[Cause]:
     yield from _list_rereads(readings)
 
 
-def list_effects(readings: Readings, pose: Array) -> Iterator[Cause]:
+def list_effects(readings: VariantReadings, pose: Array) -> Iterator[Cause]:
     """Yield what leaves the table as it is; poses (P, q) are those that explain the readings."""
     yield from _list_frames(readings, pose)
     yield from _list_noises(readings.channels)
@@ -135,7 +135,7 @@ def list_effects(readings: Readings, pose: Array) -> Iterator[Cause]:
 # --- columns of readings ---------------------------------------------------------------------------------------------
 
 
-def _list_columns(readings: Readings) -> Iterator[Cause]:
+def _list_columns(readings: VariantReadings) -> Iterator[Cause]:
     """Yield columns in other units, of the other sign, exchanged, numbered otherwise, shifted by a row."""
     channels, values = readings.channels, readings.values
     names = [one.name for one in channels]
@@ -154,7 +154,7 @@ def _list_columns(readings: Readings) -> Iterator[Cause]:
         yield from _shift(kind, own, values)
         if unit == "rad":
             text = f"readings of {kind} seem to start again after a full turn"
-            yield Cause(UNIT, text, Table(values, np.arange(len(values)), tuple(own)))
+            yield Cause(UNIT, text, RowReadings(values, np.arange(len(values)), tuple(own)))
     pairs = [(a, b) for a, b in combinations(range(len(names)), 2) if channels[a].unit == channels[b].unit]
     if len(pairs) > MOST_PAIRS:
         pairs = [(a, b) for a, b in pairs if channels[a].kind == channels[b].kind]
@@ -188,7 +188,7 @@ def _scale_instruments(kinds: Mapping[str, list[int]], channels: Sequence[Channe
 def _move(text: str, values: Array, places: np.ndarray, source: np.ndarray) -> Cause:
     moved = values.copy()
     moved[:, places] = values[:, source]
-    return Cause(LEGS, text, Table(moved, np.arange(len(values))))
+    return Cause(LEGS, text, RowReadings(moved, np.arange(len(values))))
 
 
 def _scale(name: str, columns: np.ndarray, unit: str, values: Array) -> Iterator[Cause]:
@@ -203,7 +203,7 @@ def _scale_about(
     moved = values.copy()
     moved[:, columns] = zero + factor * (values[:, columns] - zero)
     volume = int(np.isfinite(values[:, columns]).sum()) * float(np.log(abs(factor)))
-    return Cause(UNIT, text, Table(moved, np.arange(len(values)), log_volume=volume))
+    return Cause(UNIT, text, RowReadings(moved, np.arange(len(values)), log_volume=volume))
 
 
 def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False) -> Iterator[Cause]:
@@ -215,10 +215,10 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         moved[:, columns] = np.roll(values[:, columns], step, axis=0)
         there = np.arange(len(values))[slice(1, None) if step > 0 else slice(None, -1)]
         text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
-        yield Cause(ROWS, text, Table(moved[there], there))
+        yield Cause(ROWS, text, RowReadings(moved[there], there))
 
 
-def _list_blind(readings: Readings) -> Iterator[Cause]:
+def _list_blind(readings: VariantReadings) -> Iterator[Cause]:
     """Yield readings of which one channel has nothing to do with the pose: normal about its mean, as wide as it is."""
     values, sd, channels = readings.values, readings.posterior.likelihood.data.sd, readings.channels
     n_spare = int(np.median(readings.posterior.likelihood.n_spare))
@@ -235,12 +235,12 @@ def _list_blind(readings: Readings) -> Iterator[Cause]:
             if n_spare <= len(alike) or not noise.all():  # the others have to contradict it, and it has to have noise
                 continue
             width = np.maximum(np.nanstd(values[:, alike], axis=0) / noise, 1.0)
-            volume = float(np.sum(seen * (np.log(VAGUE / width) - 0.5)))
-            table = Table(values, np.arange(len(values)), vague=alike, log_volume=volume)
+            volume = float(np.sum(seen * (np.log(WIDE_PRIOR_SD / width) - 0.5)))
+            table = RowReadings(values, np.arange(len(values)), vague=alike, log_volume=volume)
             yield Cause(CHANNEL, "", table, blind=k, say=partial(_say_blind, readings, one, values[:, k], steady))
 
 
-def _say_blind(readings: Readings, channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
+def _say_blind(readings: VariantReadings, channel: Channel, measured: Array, steady: bool, expected: Array) -> str:
     """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
     good = np.isfinite(measured) & np.isfinite(expected)
     said, unit = (
@@ -267,7 +267,7 @@ def _say_blind(readings: Readings, channel: Channel, measured: Array, steady: bo
     return said
 
 
-def _list_displacements(readings: Readings) -> Iterator[Cause]:
+def _list_displacements(readings: VariantReadings) -> Iterator[Cause]:
     """Yield readings of the machine's own channels in other units as they are counted from home, or not counted."""
     values, channels, home = readings.values, readings.channels, readings.home
     for kind in dict.fromkeys(one.kind for one in channels if not one.external):
@@ -279,11 +279,11 @@ def _list_displacements(readings: Readings) -> Iterator[Cause]:
             yield _scale_about(text, values, own, factor, home[own])
         moved = values.copy()
         moved[:, own] += home[own]
-        text = f"displacements seem to be given in place of positions of {kind}"
-        yield Cause(UNIT, text, Table(moved, np.arange(len(values))))
+        text = f"displacements seem to be given instead of positions of {kind}"
+        yield Cause(UNIT, text, RowReadings(moved, np.arange(len(values))))
 
 
-def _list_rereads(readings: Readings) -> Iterator[Cause]:
+def _list_rereads(readings: VariantReadings) -> Iterator[Cause]:
     """Yield poses that an instrument hands out, read in other ways: angles, frames seen from the other side."""
     values, every = readings.values, np.arange(len(readings.values))
     external = [(k, one) for k, one in enumerate(readings.channels) if one.external]
@@ -295,7 +295,7 @@ def _list_rereads(readings: Readings) -> Iterator[Cause]:
     for text, position, rotation in list_rereads(seen[:, lengths], matrix_from_rotation_vector(seen[:, turned])):
         moved = values.copy()
         moved[np.ix_(whole, lengths)], moved[np.ix_(whole, turned)] = position, rotation_vector_from_matrix(rotation)
-        yield Cause(POSES, text, Table(moved, every))
+        yield Cause(POSES, text, RowReadings(moved, every))
     for words, factor in ANGLES.items():
         text = f"rotations of the poses seem to be {'inverted' if factor < 0.0 else words}"
         yield _scale_about(text, values, turned, factor, 0.0)
@@ -363,13 +363,13 @@ def _say_noise(name: str, size: Array) -> str:
     return f"the noise of {name} is about {times} times the stated one: state it so{advice}"
 
 
-def _list_tolerances(readings: Readings) -> Iterator[Cause]:
+def _list_tolerances(readings: VariantReadings) -> Iterator[Cause]:
     """Yield tolerances of single parameters, of those of one letter, of letters of one body, and of all.
 
     Too wide are those of the machine alone: nobody states where an instrument stands better than it is known.
     """
     sampling, model = readings.posterior.sampling, readings.model
-    names, n_own = sampling.names, (model.whole if isinstance(model, Placed) else model).layout.size
+    names, n_own = sampling.names, (model.whole if isinstance(model, InstrumentedMachine) else model).layout.size
     of_machine = np.asarray(sampling.free) < n_own
     symbols: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -403,7 +403,7 @@ def _say_tolerance(which: str, size: Array) -> str:
     return f"the tolerance of {which} is about {times} times too tight: widen its prior"
 
 
-def _list_couplings(readings: Readings) -> Iterator[Cause]:
+def _list_couplings(readings: VariantReadings) -> Iterator[Cause]:
     """Yield errors of the machine's own channels in proportion to the travel of all of them, as eq. 4 of RR-8096."""
     own = [k for k in np.flatnonzero(readings.internal) if np.isfinite(readings.values[:, k]).all()]
     if len(own) < 2:
@@ -423,7 +423,7 @@ def _list_couplings(readings: Readings) -> Iterator[Cause]:
     yield Cause(MODEL, text, columns=columns.reshape(*readings.values.shape, -1), most=COUPLED)
 
 
-def _list_channels(readings: Readings) -> Iterator[Cause]:
+def _list_channels(readings: VariantReadings) -> Iterator[Cause]:
     """Yield another zero of single channels, another scale, about their own zero or about their mean, and drifts."""
     values, ones = readings.values, np.ones(len(readings.values))
     for k, one in enumerate(readings.channels):
@@ -453,7 +453,7 @@ def _say_zero(channel: Channel, size: Array) -> str:
     )
 
 
-def _say_scale(readings: Readings, channel: Channel, size: Array) -> str:
+def _say_scale(readings: VariantReadings, channel: Channel, size: Array) -> str:
     factor = 1.0 / (1.0 - size[0]) if size[0] != 1.0 else np.inf
     gain = find_gains(readings.model).get(channel.name)
     free = readings.posterior.sampling.names
@@ -478,7 +478,7 @@ def format_in_unit(value: float, unit: str, sign: str = "") -> str:
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def _list_frames(readings: Readings, pose: Array) -> Iterator[Cause]:
+def _list_frames(readings: VariantReadings, pose: Array) -> Iterator[Cause]:
     for name, columns in _find_frames(readings, pose).items():
         yield Cause(FRAME, "", columns=columns, say=partial(_say_frame, name))
         drifting = columns * readings.time[:, None, None]
@@ -496,11 +496,11 @@ def _say_moving_frame(name: str, size: Array) -> str:
     return f"the {name} frame drifts by {1e3 * float(np.linalg.norm(size[:3])):.2g} µm while rows are measured"
 
 
-def _find_frames(readings: Readings, pose: Array) -> dict[str, Array]:
+def _find_frames(readings: VariantReadings, pose: Array) -> dict[str, Array]:
     """Return what motions of base and tool, 3 in mm and 3 in rad, do to what instruments read, (P, K, 6)."""
     likelihood, whole = readings.posterior.likelihood, readings.model
     external = ~readings.internal
-    bare = whole if isinstance(whole, Placed) else Placed(whole, ())
+    bare = whole if isinstance(whole, InstrumentedMachine) else InstrumentedMachine(whole, ())
     if not external.any() or not whole.places_tool:
         return {}
     theta = readings.posterior.theta(readings.posterior.begin)

@@ -19,11 +19,11 @@ from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
+from bayescal.density.linear_gaussian import condition_white, solve_factor
 from bayescal.experiments.shared.slip_causes import Cause, format_in_unit
 from bayescal.experiments.shared.slip_given import find_moving, list_alike
-from bayescal.experiments.shared.slip_rows import Readings, Table, White
+from bayescal.experiments.shared.slip_rows import RowReadings, VariantReadings, WhitenedRows
 from bayescal.experiments.shared.slips import ROWS
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
@@ -86,25 +86,24 @@ class Cells(NamedTuple):
         return np.asarray(np.sum(self.side[rows] * change, axis=1) - 0.5 * own)
 
 
-def weigh_cells(white: White, n_channels: int) -> tuple[np.ndarray, Cells]:
+def weigh_cells(white: WhitenedRows, n_channels: int) -> tuple[np.ndarray, Cells]:
     """Return which rows are farthest off by a single reading, (Q,), and what changes of their readings gain.
 
     Of rows that are white with a column for each channel.
     """
     known, errors = white.rows[..., : white.known], white.rows[..., -1]
     shown = white.rows[..., white.known : white.known + n_channels]
-    flat = known.reshape(-1, white.known)
-    root = cholesky(np.eye(white.known) + flat.T @ flat, lower=True, check_finite=False)
-    pull = solve_triangular(root, flat.T @ errors.ravel(), lower=True, check_finite=False)
+    found = condition_white(known.reshape(-1, white.known), errors.reshape(-1, 1))
     moves = np.einsum("prn,prk->pkn", known, shown)
     p, k, n = moves.shape
-    part = solve_triangular(root, moves.reshape(-1, n).T, lower=True, check_finite=False).T.reshape(p, k, n)
-    side, own = np.einsum("prk,pr->pk", shown, errors) - part @ pull, np.einsum("prk,prj->pkj", shown, shown)
+    part = solve_factor(found.factor, moves.reshape(-1, n).T).T.reshape(p, k, n)
+    side = np.einsum("prk,pr->pk", shown, errors) - part @ found.white[:, 0]
+    own = np.einsum("prk,prj->pkj", shown, shown)
     left = np.einsum("pkk->pk", own) - np.sum(part**2, axis=-1)
     far = np.divide(side**2, left, out=np.zeros_like(side), where=left > TINY * np.einsum("pkk->pk", own))
     rows = np.sort(np.argsort(-far.max(axis=1))[: max(2, min(MAX_ROWS, MAX_CELLS // k))])
-    part, every = part[rows].reshape(-1, n), np.arange(len(rows))
-    square = -(part @ part.T).reshape(len(rows), k, len(rows), k)
+    chosen, every = part[rows].reshape(-1, n), np.arange(len(rows))
+    square = -(chosen @ chosen.T).reshape(len(rows), k, len(rows), k)
     square[every, :, every, :] += own[rows]
     return rows, Cells(side[rows], square)
 
@@ -113,7 +112,7 @@ def weigh_cells(white: White, n_channels: int) -> tuple[np.ndarray, Cells]:
 class CellSearch:
     """Cells of some rows, by their places among all, about one machine."""
 
-    readings: Readings
+    readings: VariantReadings
     rows: np.ndarray
     cells: Cells
     machine: Array  # (D,)
@@ -136,7 +135,7 @@ class CellSearch:
         values = self.readings.values.copy()
         for (row, k), value in changed.items():
             values[self.rows[row], k] = value
-        return Cause(ROWS, text, Table(values, np.arange(len(values))), among=among)
+        return Cause(ROWS, text, RowReadings(values, np.arange(len(values))), among=among)
 
     def _list_rows(self) -> Iterator[tuple[Cause, float]]:
         """Yield two rows that have each other's readings of a channel, or of a kind of channels."""
@@ -222,7 +221,7 @@ class CellSearch:
         given = {name: data.given[name].copy() for _, name in changed}
         for (row, name), value in changed.items():
             given[name][self.rows[row]] = value
-        return Cause(ROWS, text, Table(values, np.arange(len(values)), given=given), among=among)
+        return Cause(ROWS, text, RowReadings(values, np.arange(len(values)), given=given), among=among)
 
     def _list_given_rows(self) -> Iterator[tuple[Cause, float]]:
         """Yield two rows that have each other's value of a column, or of all of them."""

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from bayescal.experiments.shared.slip_rows import Readings, Table
+from bayescal.experiments.shared.slip_rows import RowReadings, VariantReadings
 from bayescal.numerics.geometry import Array
 
 type Change = tuple[float, float]
@@ -28,7 +28,7 @@ BY_UNIT: Mapping[str, Mapping[str, Change]] = {
 """Beside these, by the last part of a column's name."""
 
 
-def list_rescaled(readings: Readings) -> Iterator[tuple[str, Table]]:
+def list_rescaled(readings: VariantReadings) -> Iterator[tuple[str, RowReadings]]:
     """Yield words and tables in which a column that is given has another unit or sign."""
     for name in find_moving(readings):
         value = readings.posterior.likelihood.data.given[name]
@@ -37,7 +37,7 @@ def list_rescaled(readings: Readings) -> Iterator[tuple[str, Table]]:
             yield f"what is given as {name} seems to be {words}", _take(readings, {name: factor * (value - zero)})
 
 
-def list_exchanged(readings: Readings) -> Iterator[tuple[str, Table]]:
+def list_exchanged(readings: VariantReadings) -> Iterator[tuple[str, RowReadings]]:
     """Yield words and tables in which two columns that are given of one unit are exchanged."""
     given = readings.posterior.likelihood.data.given
     for one, other in list_alike(find_moving(readings)):
@@ -50,11 +50,11 @@ def list_alike(names: Sequence[str]) -> list[tuple[str, str]]:
     return [(a, b) for a, b in combinations(names, 2) if a.rpartition("_")[2] == b.rpartition("_")[2]]
 
 
-def find_moving(readings: Readings) -> list[str]:
+def find_moving(readings: VariantReadings) -> list[str]:
     """Return the columns that the machine reads, known of all rows and not zero throughout."""
     given = readings.posterior.likelihood.data.given
     return [one for one in readings.model.given if np.isfinite(given[one]).all() and given[one].any()]
 
 
-def _take(readings: Readings, given: Mapping[str, Array]) -> Table:
-    return Table(readings.values, np.arange(len(readings.values)), given=given)
+def _take(readings: VariantReadings, given: Mapping[str, Array]) -> RowReadings:
+    return RowReadings(readings.values, np.arange(len(readings.values)), given=given)

@@ -21,13 +21,15 @@ from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
+from bayescal.density.calibration.model_error import GPTerm
 from bayescal.density.calibration.poses import search_poses
-from bayescal.density.components import MOST_ROWS, assemble, factorise
+from bayescal.density.components import MOST_ROWS, assemble
+from bayescal.density.linear_gaussian import condition, condition_white, whiten
 from bayescal.density.low_rank import gather_columns
-from bayescal.density.sessions import LinearRows, ReadingRows
+from bayescal.density.pose_kernels import DRIFT
+from bayescal.density.sessions import LinearisedRows, ReadingRows
 from bayescal.errors import BayescalError
 from bayescal.inference.scales import find_scales_mode, measure_volume
 from bayescal.machines.readings import Channel, ReadingModel
@@ -39,8 +41,8 @@ WIDER = (2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0)
 """Factors on a tolerance that is too tight."""
 NARROWER = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
 """The same of one that is too wide."""
-VAGUE = 1e5
-LOST = float(np.log(1e3))  # nats per reading of a row that is left out
+WIDE_PRIOR_SD = 1e5
+ROW_PENALTY_NAT = float(np.log(1e3))  # nats per reading of a row that is left out
 OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
@@ -50,11 +52,11 @@ TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, 
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class RowReadings:
     """Readings (Q, K) of some of the rows, NaN where nothing was read, and channels that are taken otherwise.
 
-    ``circular`` ones are compared on a circle; ``vague`` ones may read anything: their noise is `VAGUE` times as large.
-    ``given`` has what is given of the rows, (Q,) each, where that is taken otherwise.
+    ``circular`` ones are compared on a circle; ``vague`` ones may read anything: their noise is `WIDE_PRIOR_SD`
+    times as large. ``given`` has what is given of the rows, (Q,) each, where that is taken otherwise.
     """
 
     values: Array
@@ -64,7 +66,7 @@ class Table:
     log_volume: float = 0.0  # of the change, for densities of changed readings to be compared
     given: Mapping[str, Array] = field(default_factory=dict)
 
-    def pick(self, some: np.ndarray) -> Table:
+    def pick(self, some: np.ndarray) -> RowReadings:
         """Return some of its rows, by a mask over the study's rows."""
         here = some[self.rows]
         share = float(here.mean()) if len(here) else 0.0
@@ -74,11 +76,11 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class LinearisedTable:
     """Rows of a table about a machine y (m,), and where it stands, (Q, q)."""
 
     rows: np.ndarray
-    linear: LinearRows
+    linear: LinearisedRows
     slope: Array  # (Q, R, m): -G
     errors: Array  # (Q, R): as those of the machine as expected, to first order
     stands: np.ndarray  # (Q,): which rows have a pose and more readings than it takes
@@ -95,7 +97,7 @@ class Sight:
         """Which rows have readings enough, but no pose, (Q,)."""
         return np.asarray(~self.stands & (self.n_spare > 0))
 
-    def split(self, tables: list[Table]) -> list[Sight]:
+    def split(self, tables: list[RowReadings]) -> list[LinearisedTable]:
         """Return the rows of several tables that were seen one below the other."""
         ends = np.cumsum([0, *(len(one.rows) for one in tables)])
         found = []
@@ -111,9 +113,9 @@ class Sight:
 
             arrays = (linear.errors, linear.slope, linear.constant, linear.basis, linear.left)
             errors, slope, constant, basis, left = (array[part] for array in arrays)
-            own = LinearRows(errors, slope, constant, covariance, basis, left, common)
+            own = LinearisedRows(errors, slope, constant, covariance, basis, left, common)
             each = {name: getattr(self, name)[part] for name in ("slope", "errors", "stands", "n_spare", "pose")}
-            found.append(Sight(one.rows, own, log_volume=one.log_volume, **each))
+            found.append(LinearisedTable(one.rows, own, log_volume=one.log_volume, **each))
         return found
 
     def _keep(self, what: str, key: object, make: Callable[[], Array]) -> Array:
@@ -126,14 +128,14 @@ class Sight:
         """Return the columns of errors common to all rows."""
         return self._keep("common", zeta.tobytes(), lambda: self.linear.common(zeta))
 
-    def share(self, other: Sight, zeta: Array) -> tuple[Array, Array]:
+    def share(self, other: LinearisedTable, zeta: Array) -> tuple[Array, Array]:
         """Return the fewest columns of errors common to all rows of this and of another table, of both."""
         both = gather_columns(np.concatenate([self.common(zeta), other.common(zeta)]))
         return both[: len(self.rows)], both[len(self.rows) :]
 
     def whiten(
         self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None, common: Array | None = None
-    ) -> White:
+    ) -> WhitenedRows:
         """Return them white by errors ζ and factors (K,) on the stated noise, with columns (P, K, c) of all rows.
 
         Errors common to all rows are the fewest columns, or others (Q, R, N) of the same covariance.
@@ -144,16 +146,14 @@ class Sight:
         every = np.concatenate([-self.slope, common, shown, self.errors[..., None]], axis=-1)
         every = np.where(self.stands[:, None, None], every, 0.0)
         covariance = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(every.shape[1]))
-        root = np.linalg.cholesky(covariance)
-        white = np.linalg.inv(root) @ every
-        constant = np.where(self.stands, self.linear.constant, 0.0)
-        constant = constant - np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        white, volume = whiten(covariance, every)
+        constant = np.where(self.stands, self.linear.constant, 0.0) - volume
         usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
-        constant = np.where(self.lost, usual - LOST * every.shape[1], constant)
+        constant = np.where(self.lost, usual - ROW_PENALTY_NAT * every.shape[1], constant)
         known = self.slope.shape[-1] + common.shape[-1]
-        return White(white, constant, known, self.log_volume, *self._count())
+        return WhitenedRows(white, constant, known, self.log_volume, *self._count())
 
-    def whiten_together(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> White:
+    def whiten_together(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> WhitenedRows:
         """Return the same of all rows together, (1, Q R, m + c + 1), where that costs less."""
         n, r = self.errors.shape
         if self.dense is None:
@@ -162,14 +162,13 @@ class Sight:
         every = np.concatenate([-self.slope, shown, self.errors[..., None]], axis=-1)
         every = np.where(self.stands[:, None, None], every, 0.0).reshape(n * r, -1)
         own = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(r))
-        root = factorise(assemble(own[None], self.dense(zeta)[None], np.ones((1, 1)))[0])
-        white = solve_triangular(root, every, lower=True, check_finite=False)
+        white, volume = whiten(assemble(own[None], self.dense(zeta)[None], np.ones((1, 1)))[0], every)
         given = np.where(self.stands, self.linear.constant, 0.0)
         usual = float(np.median(given[self.stands])) if self.stands.any() else 0.0
-        given = np.where(self.lost, usual - LOST * r, given)
-        constant = np.array([given.sum() - np.log(np.diag(root)).sum()])
+        given = np.where(self.lost, usual - ROW_PENALTY_NAT * r, given)
+        constant = np.array([given.sum() - volume])
         size = np.sqrt(np.sum(every[:, :-1] ** 2, axis=0) / max(int(np.count_nonzero(every[:, -1])), 1))
-        return White(white[None], constant, self.slope.shape[-1], self.log_volume, *self._count(), size)
+        return WhitenedRows(white[None], constant, self.slope.shape[-1], self.log_volume, *self._count(), size)
 
     def _count(self) -> tuple[int, int]:
         """Return how many readings more than poses take there are, and of them those of rows without a pose."""
@@ -177,7 +176,7 @@ class Sight:
 
 
 @dataclass(frozen=True, eq=False)
-class White:
+class WhitenedRows:
     """White rows (Q, R, m + N + c + 1): slopes of what is standard normal, columns of causes, errors."""
 
     rows: Array
@@ -202,10 +201,9 @@ class White:
     def weigh(self, gram: Array | None = None, constant: float | None = None) -> float:
         """Return the log-density without any cause, of other products of rows where these are given."""
         gram = self.total if gram is None else gram
-        root = cholesky(np.eye(self.known) + gram[:-1, :-1], lower=True, check_finite=False)
-        side = solve_triangular(root, gram[:-1, -1], lower=True, check_finite=False)
-        constant = float(self.constant.sum()) if constant is None else constant
-        return constant + self.log_volume - 0.5 * float(gram[-1, -1] - side @ side) - float(np.log(np.diag(root)).sum())
+        constant = self.log_volume + (float(self.constant.sum()) if constant is None else constant)
+        found = condition(np.eye(self.known) + gram[:-1, :-1], gram[:-1, -1:], gram[-1:, -1:], constant)
+        return float(found.log_marginal)
 
     def solve(self, columns: np.ndarray, scale: Array) -> tuple[Array, Array, float]:
         """Return what is known (m + N,), the unknowns (k,) of columns with standard deviations (k,), and the misfit.
@@ -215,10 +213,10 @@ class White:
         """
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         both = np.concatenate([flat[:, : self.known], flat[:, columns] * scale], axis=1)
-        found = np.linalg.solve(np.eye(both.shape[1]) + both.T @ both, both.T @ flat[:, -1])
-        square = float(flat[:, -1] @ (flat[:, -1] - both @ found)) + self.n_lost * np.exp(2.0 * LOST)
+        found = condition_white(both, flat[:, -1:])
+        mean, square = found.mean[:, 0], found.square.item() + self.n_lost * np.exp(2.0 * ROW_PENALTY_NAT)
         misfit = float(np.sqrt(square / max(self.n_spare + self.n_lost, 1)))
-        return found[: self.known], found[self.known :] * scale, misfit
+        return mean[: self.known], mean[self.known :] * scale, misfit
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, Array]:
@@ -228,8 +226,7 @@ class White:
         """
         flat = self.rows.reshape(-1, self.rows.shape[-1])
         gram = flat.T @ flat
-        inner = np.linalg.solve(np.eye(self.known) + gram[: self.known, : self.known], gram[: self.known])
-        left = gram - gram[:, : self.known] @ inner
+        left = condition(np.eye(self.known) + gram[: self.known, : self.known], gram[: self.known], gram).square
         size = self.size
         if size is None:
             size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
@@ -260,7 +257,7 @@ class White:
         some = variance[:, None]
         return np.asarray(0.5 * np.sum(some * along**2 / (1.0 + some * values) - np.log1p(some * values), axis=1))
 
-    def scale_tolerances(self, parameters: np.ndarray, factor: float) -> White:
+    def scale_tolerances(self, parameters: np.ndarray, factor: float) -> WhitenedRows:
         """Return the same rows by parameters in tolerances so many times as large."""
         rows = self.rows.copy()
         rows[..., parameters] *= factor
@@ -268,7 +265,7 @@ class White:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class VariantReadings:
     """Readings of one variant, of which causes are weighed."""
 
     posterior: CalibrationPosterior  # with the poses at which the nominal machine explains the readings best
@@ -308,20 +305,22 @@ class Readings:
         """The machine (m,) about which rows are looked at first."""
         return self.posterior.begin[: self.posterior.n_geometry]
 
-    def with_table(self, table: Table) -> Readings:
+    def with_table(self, table: RowReadings) -> VariantReadings:
         """Return them as if a table had been read."""
         return replace(self, posterior=replace(self.posterior, likelihood=self._with(table)))
 
-    def pick(self, rows: np.ndarray) -> Readings:
+    def pick(self, rows: np.ndarray) -> VariantReadings:
         """Return some of the rows."""
         return replace(self, posterior=replace(self.posterior, likelihood=self.posterior.likelihood.pick(rows)))
 
     @cached_property
-    def table(self) -> Table:
+    def table(self) -> RowReadings:
         """All of them."""
-        return Table(self.values, np.arange(len(self.values)))
+        return RowReadings(self.values, np.arange(len(self.values)))
 
-    def see(self, table: Table, y: Array, start: Array | None = None, n_starts: int = 0) -> Sight | None:
+    def see(
+        self, table: RowReadings, y: Array, start: Array | None = None, n_starts: int = 0
+    ) -> LinearisedTable | None:
         """Return a table's rows about a machine (m,); None where they have no machine at all.
 
         Poses are looked for from those of the study, or from others (P, q); with ``n_starts`` from so many other places
@@ -344,7 +343,7 @@ class Readings:
         n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
         stands &= n_spare > 0
         dense = _find_dense(posterior, linear.left, stands)
-        return Sight(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, dense)
+        return LinearisedTable(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, dense)
 
     def measure_rows(self, n_starts: int = 0) -> Array:
         """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).
@@ -360,7 +359,9 @@ class Readings:
         left, spare, there = rest, np.maximum(n_spare, 1), np.flatnonzero(stands)
         for _ in range(2):
             off = np.sqrt(np.sum(left[there] ** 2, axis=1) / spare[there])
-            left = rest - moves @ _solve(moves, rest, there[off <= OUTLYING * np.median(off)])
+            used = there[off <= OUTLYING * np.median(off)]
+            fit = condition_white(moves[used].reshape(-1, moves.shape[-1]), rest[used].reshape(-1, 1))
+            left = rest - moves @ fit.mean[:, 0]
         return np.where(stands, np.sqrt(np.sum(left**2, axis=1) / spare), nowhere)
 
     def measure_misfit(self) -> float:
@@ -371,7 +372,7 @@ class Readings:
         n_spare, (moves, rest, stands) = self.posterior.likelihood.n_spare, self._whiten(0)
         if not stands.any() or (n_spare[~stands] > 0).any():
             return np.inf
-        square = float(np.sum(rest * (rest - moves @ _solve(moves, rest, np.flatnonzero(stands)))))
+        square = condition_white(moves.reshape(-1, moves.shape[-1]), rest.reshape(-1, 1)).square.item()
         return float(np.sqrt(square / n_spare[stands].sum()))
 
     def _whiten(self, n_starts: int) -> tuple[Array, Array, np.ndarray]:
@@ -393,7 +394,7 @@ class Readings:
         moves, rest, stands = zip(*parts, strict=True)
         return np.concatenate(moves), np.concatenate(rest), np.concatenate(stands)
 
-    def _with(self, table: Table) -> CalibrationLikelihood:
+    def _with(self, table: RowReadings) -> CalibrationLikelihood:
         """Return the density of a table's readings."""
         likelihood = self.posterior.likelihood
         model = likelihood.model
@@ -405,7 +406,7 @@ class Readings:
         data = replace(data, given={**data.given, **table.given})
         if table.vague:
             vague = np.isin(np.arange(len(self.channels)), table.vague)
-            data = replace(data, sd=np.where(vague, VAGUE * data.sd, data.sd))
+            data = replace(data, sd=np.where(vague, WIDE_PRIOR_SD * data.sd, data.sd))
         return replace(likelihood, model=model, data=data, start=likelihood.start[table.rows], expansion=None)
 
     def _locate(self, posterior: CalibrationPosterior, theta: Array, n_starts: int) -> Array:
@@ -451,14 +452,6 @@ def _find_dense(posterior: CalibrationPosterior, left: Array, stands: np.ndarray
     return lambda zeta: np.tensordot(errors.amplitudes(zeta[None])[0] ** 2, parts(), 1)
 
 
-def _solve(moves: Array, rest: Array, used: np.ndarray) -> Array:
-    """Return what explains some of the rows best, (n,), for slopes (P, R, n), errors (P, R) and prior N(0, 1)."""
-    if len(used) < len(moves):
-        moves, rest = moves[used], rest[used]
-    flat = moves.reshape(-1, moves.shape[-1])
-    return np.asarray(np.linalg.solve(np.eye(flat.shape[1]) + flat.T @ flat, flat.T @ rest.ravel()))
-
-
 type Weigh = Callable[[Array], float]
 
 
@@ -497,3 +490,19 @@ def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
 
     mode = find_scales_mode(log_density, start)
     return float(log_density(mode[None])[0]) + measure_volume(log_density, mode), mode
+
+
+def leave_out_drift(readings: VariantReadings) -> VariantReadings:
+    """Return readings whose errors do not drift in measuring order."""
+    errors = readings.posterior.errors
+    steady = tuple(one for one in errors.terms if not (isinstance(one, GPTerm) and one.sort == DRIFT))
+    return replace(readings, posterior=replace(readings.posterior, errors=replace(errors, terms=steady)))
+
+
+def leave_out_outliers(readings: VariantReadings) -> VariantReadings:
+    """Return readings whose variant expects outliers without the rows that are."""
+    if not readings.posterior.errors.outliers.expected:
+        return readings
+    off = readings.measure_rows()
+    kept = np.isfinite(off) & (off <= OUTLYING * np.median(off))
+    return readings.pick(np.flatnonzero(kept)) if kept.any() else readings

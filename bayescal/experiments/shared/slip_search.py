@@ -21,13 +21,13 @@ from itertools import combinations
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import FunctionsOfPose
-from bayescal.density.sorts import DRIFT
+from bayescal.density.calibration.model_error import GPTerm
 from bayescal.errors import NumericalError
 from bayescal.experiments.shared.slip_causes import (
     FACTORS,
     MODEL,
     NOISE,
+    TOLERANCE,
     WIDE,
     Cause,
     list_effects,
@@ -35,28 +35,30 @@ from bayescal.experiments.shared.slip_causes import (
 )
 from bayescal.experiments.shared.slip_cells import CellSearch, weigh_cells
 from bayescal.experiments.shared.slip_rows import (
-    LOST,
     OUTLYING,
+    ROW_PENALTY_NAT,
     STARTS,
-    Readings,
-    Sight,
-    Table,
-    White,
+    LinearisedTable,
+    RowReadings,
+    VariantReadings,
+    WhitenedRows,
     integrate_sizes,
+    leave_out_drift,
+    leave_out_outliers,
     profile,
 )
 from bayescal.experiments.shared.slip_verdict import (
     BEYOND,
+    MIN_CAUSE_GAIN_NAT,
     SLIPS,
     STATED,
-    SURE,
     SURE_OF_SLIP,
-    Named,
+    NamedCause,
     Rival,
+    ScoredCause,
     Search,
-    Weighed,
 )
-from bayescal.experiments.shared.slip_weigher import Weigher, splice
+from bayescal.experiments.shared.slip_weigher import CauseLikelihood, splice
 from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -65,7 +67,7 @@ SURE_OF_MODEL = 10.0
 """The same of errors of the machine, which a model error allows for."""
 UNSEEN = 10.0
 """Nats by which a slip planted in data that fit lowers the log-density at most, where the data do not show it."""
-ALIKE = 3.0
+RIVAL_WITHIN_NAT = 3.0
 """Nats below the best cause within which another is named with it."""
 MOST_ALIKE = 4
 """Causes that are named together: a leg's length, its actuator's zero and heights of its joints do the same."""
@@ -79,7 +81,7 @@ FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a 
 TURNS = 3  # of a noise's factor and of errors' sizes, each with the other held
 FITS, MOST_FITS = 3, 8  # steps of a fit, and at most where the log-density still rises
 SETTLED = 1.0  # nats by which it rises less
-TOGETHER = 100  # tables that are looked at at once
+BATCH_SIZE = 100  # tables that are looked at at once
 MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
@@ -89,7 +91,7 @@ FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried
 
 
-def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
+def search_cause(readings: VariantReadings, denied: Collection[str] = ()) -> Search:
     """Return what explains readings better than they are explained as they stand.
 
     What drifts in measuring order is none of the machine's errors here, but a cause among the others.
@@ -97,14 +99,7 @@ def search_cause(readings: Readings, denied: Collection[str] = ()) -> Search:
     return SlipSearch(leave_out_outliers(leave_out_drift(readings)), denied).run()
 
 
-def leave_out_drift(readings: Readings) -> Readings:
-    """Return readings whose errors do not drift in measuring order."""
-    errors = readings.posterior.errors
-    steady = tuple(one for one in errors.terms if not (isinstance(one, FunctionsOfPose) and one.sort == DRIFT))
-    return replace(readings, posterior=replace(readings.posterior, errors=replace(errors, terms=steady)))
-
-
-def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> FoundSlip | None:
+def find_slip(variants: Iterable[VariantReadings], denied: Collection[str] = ()) -> FoundSlip | None:
     """Return the slip that explains readings many times better than they are; None where none does.
 
     Of variants of the same readings the one that comes nearest is asked. Where it fits in noise and errors as stated,
@@ -120,10 +115,12 @@ def find_slip(variants: Iterable[Readings], denied: Collection[str] = ()) -> Fou
     return find_suspects(variants, denied)[0]
 
 
-def find_suspects(variants: Iterable[Readings], denied: Collection[str] = ()) -> tuple[FoundSlip | None, list[Rival]]:
+def find_suspects(
+    variants: Iterable[VariantReadings], denied: Collection[str] = ()
+) -> tuple[FoundSlip | None, list[Rival]]:
     """Return the same, and causes that were weighed, sure or not, the most probable first; see `find_slip`."""
     rivals = list[Rival]()
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[Readings]] = {}
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[VariantReadings]] = {}
     for one in variants:
         names = tuple(channel.name for channel in one.channels)
         groups.setdefault((names, one.posterior.likelihood.data.poses), []).append(one)
@@ -138,7 +135,7 @@ def find_suspects(variants: Iterable[Readings], denied: Collection[str] = ()) ->
     return None, sorted(rivals, key=lambda one: -one.value)
 
 
-def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> SlipSearch | None:
+def _find_nearest(variants: Iterable[VariantReadings], denied: Collection[str]) -> SlipSearch | None:
     """Return the search of the variant that comes nearest to its readings; the first one that fits."""
     nearest: SlipSearch | None = None
     for one in variants:
@@ -149,15 +146,6 @@ def _find_nearest(variants: Iterable[Readings], denied: Collection[str]) -> Slip
         if nearest is None or search.misfit < nearest.misfit:
             nearest = search
     return nearest
-
-
-def leave_out_outliers(readings: Readings) -> Readings:
-    """Return readings whose variant expects outliers without the rows that are."""
-    if not readings.posterior.errors.outliers.expected:
-        return readings
-    off = readings.measure_rows()
-    kept = np.isfinite(off) & (off <= OUTLYING * np.median(off))
-    return readings.pick(np.flatnonzero(kept)) if kept.any() else readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +160,7 @@ class CauseFit:
     misfit: float
     text: str
     zeta: Array
-    weigher: Weigher
+    weigher: CauseLikelihood
     beside: float
 
 
@@ -180,7 +168,7 @@ class CauseFit:
 class SlipSearch:
     """A search of one variant's readings, without faults that are denied; what is asked again is kept."""
 
-    readings: Readings
+    readings: VariantReadings
     denied: Collection[str]
     began: float = field(default_factory=time.process_time)
 
@@ -198,7 +186,7 @@ class SlipSearch:
         return time.process_time() - self.began > PATIENCE
 
     @cached_property
-    def here(self) -> Sight | None:
+    def here(self) -> LinearisedTable | None:
         """The readings about the machine as expected; None where they leave nothing over for a comparison."""
         if not (self.posterior.likelihood.n_spare > 0).any():
             return None
@@ -215,6 +203,15 @@ class SlipSearch:
         if self.here is None or self.base is None or not self.here.stands.any():
             return np.inf
         return self.base.misfit
+
+    @cached_property
+    def rms_without_model_error(self) -> float:
+        """Rms of what the best machine leaves of the readings without a model error; infinite where it has none."""
+        return np.inf if self.base is None else self.measure_without_model_error(self.base)
+
+    def measure_without_model_error(self, found: CauseFit) -> float:
+        """Return the rms that a fit leaves of the readings without a model error."""
+        return found.weigher.measure_misfit(self._silence(found.zeta))
 
     @property
     def fits(self) -> bool:
@@ -263,7 +260,10 @@ class SlipSearch:
         for cause, promise in chosen:
             if self.is_late and len(fitted) >= FEWEST:
                 break
-            least = -ALIKE if cause.fault == NOISE else SURE_OF_SLIP if briefly else 0.0
+            rival = cause.fault == NOISE or (
+                cause.fault == TOLERANCE and not briefly and self.rms_without_model_error > STATED
+            )
+            least = -RIVAL_WITHIN_NAT if rival else SURE_OF_SLIP if briefly else 0.0
             if promise < bound or (self.fits and promise < least):
                 continue
             found = self.fit(cause, here)
@@ -275,7 +275,7 @@ class SlipSearch:
         self.as_is = self._integrate_base([one.zeta for _, one in best])
         value = UNFIT if self.as_is is None else self.as_is.value
         weighed = [
-            Weighed(
+            ScoredCause(
                 cause,
                 one.value - value - cost(cause),
                 one.text,
@@ -283,6 +283,7 @@ class SlipSearch:
                 one.weigher.size,
                 cost(cause),
                 self.measure(cause, one),
+                self.measure_without_model_error(one),
             )
             for cause, one in best
         ]
@@ -290,7 +291,7 @@ class SlipSearch:
         unnoticed = [cause.text for cause, value in tables if self.fits and value > -UNSEEN]
         return Search(self.misfit, self._name(weighed), weighed, len(effects) + len(tables), self.is_late, unnoticed)
 
-    def list_rivals(self, weighed: Iterable[Weighed]) -> list[Rival]:
+    def list_rivals(self, weighed: Iterable[ScoredCause]) -> list[Rival]:
         """Return weighed causes with the log-densities of the readings by each; no tolerance that is too wide."""
         as_is = UNFIT if self.as_is is None else self.as_is.value
         return [Rival(one.text, as_is + one.gain) for one in weighed if one.cause.fault != WIDE]
@@ -300,7 +301,7 @@ class SlipSearch:
         """Coordinates of errors that functions do not exceed here, `BEYOND` times what was allowed for, (n,)."""
         found, names = np.full(len(self.zeta), np.inf), self.posterior.errors.names
         for one in self.posterior.errors.terms:
-            if isinstance(one, FunctionsOfPose):
+            if isinstance(one, GPTerm):
                 found[names.index(one.names[0])] = one.priors[0].standardise(np.array(BEYOND * one.scale))
         return found
 
@@ -311,7 +312,7 @@ class SlipSearch:
         noise = np.nanmedian(np.where(data.present, data.sd, np.nan), axis=0)
         found = np.zeros(len(channels))
         for one in self.posterior.errors.terms:
-            if isinstance(one, FunctionsOfPose):
+            if isinstance(one, GPTerm):
                 found = np.where([channel.unit == "mm" for channel in channels], one.scale, found)
                 found[one.own.places] = one.scale / one.own.levers
         return np.asarray(np.hypot(noise, found)) if found.any() else np.full(len(channels), np.inf)
@@ -338,7 +339,7 @@ class SlipSearch:
         touched = np.abs(off) > 0.0 if cause.fault == ROWS else np.broadcast_to(touched, off.shape)
         return float(np.sqrt(np.mean(off[touched] ** 2))) if touched.any() else 0.0
 
-    def _find_change_by_given(self, table: Table) -> Array:
+    def _find_change_by_given(self, table: RowReadings) -> Array:
         """Return by how much the machine as expected reads otherwise with what a table has as given, (P, K)."""
         if not table.given:
             return np.zeros_like(self.readings.values)
@@ -352,12 +353,12 @@ class SlipSearch:
             )
         return np.nan_to_num(after - before)
 
-    def _name(self, weighed: list[Weighed]) -> Named | None:
+    def _name(self, weighed: list[ScoredCause]) -> NamedCause | None:
         weighed = [one for one in weighed if one.cause.fault != WIDE]
-        if not weighed or weighed[0].gain <= (SURE_OF_MODEL if weighed[0].cause.fault == MODEL else SURE):
+        if not weighed or weighed[0].gain <= (SURE_OF_MODEL if weighed[0].cause.fault == MODEL else MIN_CAUSE_GAIN_NAT):
             return None
-        best = [one for one in weighed if one.gain > SURE]
-        alike = [one for one in weighed if one.gain > best[0].gain - ALIKE]
+        best = [one for one in weighed if one.gain > MIN_CAUSE_GAIN_NAT]
+        alike = [one for one in weighed if one.gain > best[0].gain - RIVAL_WITHIN_NAT]
         others = [one for one in weighed if one not in alike]
         rival = max(others[0].gain, 0.0) if others else 0.0
         first, *also = dict.fromkeys(one.text for one in alike)
@@ -365,7 +366,7 @@ class SlipSearch:
         faults = tuple(dict.fromkeys(one.cause.fault for one in alike[:MOST_ALIKE]))
         said = others[0].text if others and others[0].gain > 0.0 else "the data as they are"
         top = best[0]
-        return Named(top.cause.fault, faults, text, top.gain, alike[-1].gain - rival, said, top.misfit, top.change)
+        return NamedCause(top.cause.fault, faults, text, top.gain, alike[-1].gain - rival, said, top.misfit, top.change)
 
     # --- first round -------------------------------------------------------------------------------------------------
 
@@ -420,7 +421,7 @@ class SlipSearch:
         of_model = np.pad(of_model, (0, len(zeta) - len(of_model)))
         return np.where(of_model, np.minimum(zeta, QUIET), zeta)
 
-    def leave_out(self, white: White, rows: np.ndarray) -> float:
+    def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
         """Return the log-density where some rows may be anything."""
         kept = np.ones(len(white.rows), dtype=bool)
         kept[rows] = False
@@ -429,7 +430,9 @@ class SlipSearch:
         broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
         return white.weigh(white.total - white.gram(rows), float(white.constant[kept].sum() + broad.sum()))
 
-    def try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
+    def try_noise(
+        self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
+    ) -> tuple[float, float]:
         """Return the log-density by the best of some factors on some channels' noise, and that.
 
         The prior of a factor is log-normal.
@@ -447,16 +450,16 @@ class SlipSearch:
         factor[list(cause.noise)] = size
         return factor
 
-    def _weigh_tables(self, here: Sight) -> list[tuple[Cause, float]]:
+    def _weigh_tables(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return causes that change the table, by some of the rows, and by how much better these are."""
         causes = [Cause("", "", table=self.readings.table), *list_tables(self.readings)]
         tables = [one.table.pick(self.some) for one in causes if one.table is not None]
-        seen: dict[int, Sight] = {}
+        seen: dict[int, LinearisedTable] = {}
         kinds = [(one.circular, one.vague, tuple(one.given)) for one in tables]
         for alike in dict.fromkeys(kinds):
             places = [k for k, one in enumerate(kinds) if one == alike]
-            for start in range(0, len(places), TOGETHER):  # looked at one below the other
-                some = places[start : start + TOGETHER]
+            for start in range(0, len(places), BATCH_SIZE):  # looked at one below the other
+                some = places[start : start + BATCH_SIZE]
                 values, rows = (np.concatenate([getattr(tables[k], key) for k in some]) for key in ("values", "rows"))
                 given = {name: np.concatenate([tables[k].given[name] for k in some]) for name in alike[2]}
                 table, y = replace(tables[some[0]], values=values, rows=rows, given=given), self.readings.begin
@@ -474,7 +477,7 @@ class SlipSearch:
         rough = [(one, share * float(value - usual)) for one, value in zip(causes, values, strict=True)]
         return [*rough[1:], *self._weigh_shifts(here), *self._weigh_exchanges(here)]
 
-    def _weigh_shifts(self, here: Sight) -> list[tuple[Cause, float]]:
+    def _weigh_shifts(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return rows that are shifted by one against the machine's own channels from some place on."""
         values, (own, kinds), found = self.readings.values, self.own, list[tuple[Cause, float]]()
         n = len(values)
@@ -485,7 +488,7 @@ class SlipSearch:
             chosen = np.arange(n - 1) if step > 0 else np.arange(1, n)
             moved = values.copy()
             moved[np.ix_(chosen, own)] = values[np.ix_(chosen + step, own)]
-            seen = self.readings.see(Table(moved[chosen], chosen), self.readings.begin, here.pose, 3)
+            seen = self.readings.see(RowReadings(moved[chosen], chosen), self.readings.begin, here.pose, 3)
             if seen is None:
                 continue
             mine, common = here.share(seen, self.zeta)
@@ -504,10 +507,12 @@ class SlipSearch:
                 table[chosen[there]] = moved[chosen[there]]
                 where = "from" if step > 0 else "up to"
                 text = f"rows of {kinds} seem to be shifted by one {where} row {self.name_row(k)}"
-                found.append((Cause(ROWS, text, Table(table[chosen], chosen)), float(weighed[k]) - row_cost - usual))
+                found.append(
+                    (Cause(ROWS, text, RowReadings(table[chosen], chosen)), float(weighed[k]) - row_cost - usual)
+                )
         return found
 
-    def _weigh_exchanges(self, here: Sight) -> list[tuple[Cause, float]]:
+    def _weigh_exchanges(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return two rows whose readings of the machine's own channels are exchanged, of the few that are far off."""
         values, (own, kinds), found = self.readings.values, self.own, list[tuple[Cause, float]]()
         off = self.readings.measure_rows()
@@ -518,7 +523,7 @@ class SlipSearch:
         for pair in combinations(far.tolist(), 2):
             moved = values.copy()
             moved[np.ix_(pair, own)] = values[np.ix_(pair[::-1], own)]
-            table = Table(moved, np.arange(len(values)))
+            table = RowReadings(moved, np.arange(len(values)))
             seen = self.readings.see(table, self.readings.begin, here.pose, 2)
             if seen is None or not seen.stands.any():
                 continue
@@ -527,7 +532,7 @@ class SlipSearch:
             found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
 
-    def _weigh_cells(self, here: Sight) -> list[tuple[Cause, float]]:
+    def _weigh_cells(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return single readings that are wrong, by the best of some sizes of errors, about the fit of all."""
         seen, usual = (here, UNFIT) if self.base is None else (self.base.weigher.seen, self.base.value)
         y = self.readings.begin if self.base is None else self.base.weigher.solve(self.base.zeta)[0]
@@ -547,14 +552,14 @@ class SlipSearch:
             best.setdefault(cause.text, (cause, gain - float(np.log(cause.among))))
         return list(best.values())
 
-    def _row_cost(self, here: Sight) -> float:
+    def _row_cost(self, here: LinearisedTable) -> float:
         """Return what a row of a table counts that is not there, like one that may be anything, negative."""
         white = here.whiten(self.zeta)
-        return white.rows.shape[1] * LOST - float(np.median(white.constant))
+        return white.rows.shape[1] * ROW_PENALTY_NAT - float(np.median(white.constant))
 
     # --- second round ------------------------------------------------------------------------------------------------
 
-    def fit(self, cause: Cause, here: Sight) -> CauseFit | None:
+    def fit(self, cause: Cause, here: LinearisedTable) -> CauseFit | None:
         """Return a cause about its own fit."""
         table, columns = cause.table or self.readings.table, cause.columns
         y, zeta, start = self.readings.begin, self.zeta, here.pose
@@ -573,7 +578,7 @@ class SlipSearch:
                 seen = replace(seen, errors=seen.errors + moved[..., 0])
             start = here.pose.copy()
             start[table.rows] = np.where(np.isfinite(seen.pose), seen.pose, start[table.rows])
-            weigher = Weigher(self, cause, seen)
+            weigher = CauseLikelihood(self, cause, seen)
             if step == 0:
                 zeta = profile(weigher.weigh, starts, turns=not cause.fault)
             elif step == FITS - 1:
@@ -590,7 +595,7 @@ class SlipSearch:
         beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
 
-    def _describe(self, weigher: Weigher, zeta: Array, value: float, beside: float) -> CauseFit:
+    def _describe(self, weigher: CauseLikelihood, zeta: Array, value: float, beside: float) -> CauseFit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
         cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
         more = beside

@@ -9,7 +9,7 @@ import numpy as np
 from bayescal.experiments.shared.slip_causes import Cause
 from bayescal.experiments.shared.slips import CHANNEL, FRAME, LEGS, POSES, ROWS, UNIT, FoundSlip
 
-SURE = 3.0
+MIN_CAUSE_GAIN_NAT = 3.0
 """Nats by which a cause has to explain the readings better, all of its kind that were tried counted: 20 to 1."""
 SURE_OF_SLIP = 10.0
 """The same of a slip beside a model error that could make up for it: one in a thousand tables has one, and 20 to 1."""
@@ -19,14 +19,14 @@ SLIPS = (UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME)
 """Causes that are slips of the data: other kinds of experiments than checks name these alone."""
 STATED = 1.5
 """Rms of the rows in noise and model errors as stated up to which nothing has slipped."""
-BETTER = {POSES: 1.5, ROWS: 1.5}
+MIN_MISFIT_RATIOS = {POSES: 1.5, ROWS: 1.5}
 """Factor by which the misfit has to fall for a slip to be named, 3 but for what is named here: angles read in another
 way are off by little at tilts of some degrees, by two to five times what was stated, and a row is one of many."""
 USUALLY_BETTER = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class ScoredCause:
     """A cause, by how many nats it explains the readings better, all that were tried counted, and its words."""
 
     cause: Cause
@@ -36,6 +36,7 @@ class Weighed:
     factor: float  # on a noise or a tolerance
     cost: float  # nats, for all that were tried
     change: float  # rms of what it does to readings, in what was allowed for
+    rms_without_model_error: float = np.inf  # of the residuals, in the noise
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedCause:
     """What is named first: the best cause and those alike, the gain, and the nats between them and the next one.
 
     ``misfit`` is the rms of the readings in their noise that the best one leaves, ``change`` the rms of what it does to
@@ -66,7 +67,7 @@ class Named:
     @property
     def is_plausible(self) -> bool:
         """Whether a slip is what explains the data, and no model error: by its odds, its size, and what it leaves."""
-        sure = self.gain > SURE_OF_SLIP and self.odds > SURE and self.fault != POSES
+        sure = self.gain > SURE_OF_SLIP and self.odds > MIN_CAUSE_GAIN_NAT and self.fault != POSES
         return sure and self.change > BEYOND and self.misfit <= STATED
 
 
@@ -80,8 +81,8 @@ class Search:
     """
 
     misfit: float
-    first: Named | None = None
-    weighed: list[Weighed] = field(default_factory=list)
+    first: NamedCause | None = None
+    weighed: list[ScoredCause] = field(default_factory=list)
     tried: int = 0
     stopped: bool = False
     unnoticed: list[str] = field(default_factory=list)
@@ -97,7 +98,7 @@ class Search:
         if first is None or not set(first.faults) <= set(SLIPS):
             return None
         factor = self.misfit / max(first.misfit, 1.0)
-        far = self.misfit > STATED and factor > BETTER.get(first.fault, USUALLY_BETTER)
+        far = self.misfit > STATED and factor > MIN_MISFIT_RATIOS.get(first.fault, USUALLY_BETTER)
         if not far and not first.is_plausible:
             return None
         limited = np.isfinite(factor)

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from bayescal.experiments.shared.slip_causes import FACTORS, Cause
-from bayescal.experiments.shared.slip_rows import Sight, White
+from bayescal.experiments.shared.slip_rows import LinearisedTable, WhitenedRows
 from bayescal.numerics.geometry import Array
 
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
@@ -18,7 +18,7 @@ NO_FACTOR = -1e9  # log-density of errors with which the rows' covariance has no
 STEEP = 100.0  # nats by the square of a coordinate beyond what errors are allowed
 
 
-class Weighing(Protocol):
+class SearchOptions(Protocol):
     """What is asked of a search: how many parameters, the largest errors, other noises, rows that do not count."""
 
     m: int
@@ -27,10 +27,12 @@ class Weighing(Protocol):
     def most(self) -> Array:
         """Coordinates of errors that are not exceeded, (n,)."""
 
-    def leave_out(self, white: White, rows: np.ndarray) -> float:
+    def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
         """Return the log-density where some rows may be anything."""
 
-    def try_noise(self, here: Sight, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[float, float]:
+    def try_noise(
+        self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
+    ) -> tuple[float, float]:
         """Return the log-density by the best of some factors on some channels' noise, and that."""
 
     def raise_noise(self, cause: Cause, size: float) -> Array:
@@ -38,12 +40,12 @@ class Weighing(Protocol):
 
 
 @dataclass(eq=False)
-class Weigher:
+class CauseLikelihood:
     """Rows of readings about a machine, by errors ζ, where a cause has happened; the cause's last size."""
 
-    search: Weighing
+    search: SearchOptions
     cause: Cause
-    seen: Sight
+    seen: LinearisedTable
     size: float = 0.0
     limited: bool = True  # whether errors as large as no machine has them are next to impossible
 
@@ -120,13 +122,13 @@ class Weigher:
     def _without(self) -> np.ndarray:
         return np.flatnonzero(np.isin(self.seen.rows, self.cause.without))
 
-    def _find_columns(self, white: White) -> np.ndarray:
+    def _find_columns(self, white: WhitenedRows) -> np.ndarray:
         """Return where the cause's columns stand among the white ones."""
         width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
         return white.known + np.arange(width)
 
 
-def splice(base: White, white: White, chosen: np.ndarray, step: int) -> Array:
+def splice(base: WhitenedRows, white: WhitenedRows, chosen: np.ndarray, step: int) -> Array:
     """Return the log-density with rows of one table up to some row, and of another from there on, (P,).
 
     Backwards for a negative step: rows of the other table up to that row. Rows of the other table are the chosen ones.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
@@ -11,17 +12,18 @@ from pydantic import AfterValidator
 
 from bayescal.config.sections import check_once
 from bayescal.report.blocks import Statement
-from bayescal.report.numbers import format_significant
+from bayescal.report.numbers import capitalise, format_significant
 
 LARGE = "large errors"
+EITHER = "tolerance or model error"
+"""Tolerances stated too tight, or errors of the model: the data cannot tell."""
 UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME = "unit", "legs", "rows", "poses", "channel", "frame"
 
-BETTER = 1.5
+CORRECTED = "if corrected: "
+MIN_MISFIT_RATIO = 1.5
 """Factor on the misfit below which it is not said: a single reading is one of many."""
-FAR = 3.0
-"""Factor on the misfit from which on no machine is said to come near the data."""
 
-type DeniedSlips = Annotated[
+type IgnoredDataErrors = Annotated[
     list[Literal["unit", "legs", "rows", "poses", "channel", "frame"]], AfterValidator(check_once)
 ]
 
@@ -37,7 +39,7 @@ class FoundSlip:
 
     def say(self) -> str:
         """Return it in words."""
-        return f"the data {say_factor(self.factor)} if corrected: {self.text}"
+        return f"the data {say_factor(self.factor)} {CORRECTED}{self.text}"
 
     def record(self) -> dict[str, str | float | None]:
         """Return it for a summary, where an infinite gain is none."""
@@ -45,20 +47,22 @@ class FoundSlip:
 
 
 @dataclass(frozen=True)
-class Misstated:
+class MisstatedInput:
     """What is stated of noise, tolerances or errors that the data contradict: by which factor, and how surely.
 
     Attributes
     ----------
     fault : str
-        ``noise``, ``scatter`` (noise or errors of the model from row to row), ``tolerance`` (too tight), ``wide
-        tolerance`` or ``large errors`` (none of these; a model error far beyond what was allowed for).
+        ``noise``, ``scatter`` (noise or errors of the model from row to row), ``tolerance`` (too tight), ``tolerance
+        or model error``, ``wide tolerance`` or ``large errors`` (none of these; a model error far beyond what was
+        allowed for).
     text : str
         What to do.
     factor : float
         On what is stated.
     gain : float
-        Nats by which the data are explained better, all causes of its kind that were tried counted.
+        Nats by which the data are explained better, all causes of its kind that were tried counted; where a model error
+        may be it as well, better than by neither.
     """
 
     fault: str
@@ -68,7 +72,7 @@ class Misstated:
 
     def say(self) -> str:
         """Return it in words."""
-        if self.fault == LARGE:  # with all that is known of it
+        if self.fault in (LARGE, EITHER):  # with all that is known of it
             return self.text
         return f"{self.text} (the data are explained better by {format_significant(self.gain, 2)} nats)"
 
@@ -77,32 +81,41 @@ def say_factor(factor: float | None) -> str:
     """Return how much better data fit that are corrected, as a verb."""
     if factor is None:
         return "fit only"
-    return f"fit {format_significant(factor, 2)} times better" if factor >= BETTER else "are far more probable"
+    return (
+        f"fit {format_significant(factor, 2)} times better" if factor >= MIN_MISFIT_RATIO else "are far more probable"
+    )
 
 
 def tell_denial(field: str) -> str:
     """Return the end of a refusal: how to say that nothing has slipped."""
-    kinds = "unit, legs, rows, poses, channel or frame"
-    return f"; if the data are right, name the kind of slip that it is not, {kinds}, in {field}"
+    return f"; if the data are correct, list the false alarm in {field}: unit, legs, rows, poses, channel or frame"
+
+
+def split_advice(text: str) -> tuple[str, str]:
+    """Return what is said of data, noise or tolerances in a sentence, and what to do about it."""
+    fact, _, advice = text.partition(" (or: ")[0].partition(": ")
+    return f"{capitalise(fact)}.", advice and f"{capitalise(advice)}."
 
 
 def state_denied(summary: Mapping[str, Any]) -> list[Statement]:
-    """Say which slips would explain the data and were denied, from a summary's ``denied_slips``."""
+    """Return the errors of data that would explain them and are ignored as configured."""
     return [
-        Statement(f"{text}. The config denies that; if it is so all the same, all else is wrong.", "warning", "Data")
-        for text in summary.get("denied_slips", [])
+        Statement(
+            split_advice(text.rpartition(CORRECTED)[2])[0],
+            "warning",
+            "Data",
+            action="Ignored as configured (`ignored_data_errors`).",
+        )
+        for text in summary.get("ignored_data_errors", [])
     ]
 
 
 def state_slip(summary: Mapping[str, Any]) -> list[Statement]:
-    """Say what may have happened to data that no machine within the tolerances explains, from a summary's ``slip``."""
-    slip = summary.get("slip")
+    """Return the probable error of data that no machine within the tolerances explains, from a summary."""
+    slip = summary.get("suspected_data_error")
     if not isinstance(slip, dict):
         return []
-    far = slip["factor"] is None or slip["factor"] > FAR
-    text = (
-        f"{'No machine within the tolerances comes near the data; they' if far else 'The data'} "
-        f"{say_factor(slip['factor'])} if one thing is corrected: {slip['text']}. All other results rest on data that "
-        "seem to be wrong."
-    )
-    return [Statement(text, "bad", "Data")]
+    factor = math.nan if slip["factor"] is None else float(slip["factor"])
+    text, _ = split_advice(str(slip["text"]))
+    action = "Correct the data; all results depend on it."
+    return [Statement(text, "bad", "Data", value=factor, limit=1.0, action=action)]

@@ -20,7 +20,7 @@ from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant
 
 if TYPE_CHECKING:
-    from bayescal.inference.target import Fittable
+    from bayescal.inference.target import LogPosterior
 
 RARE = 1e-3
 """Probability of a deviation as large by chance, from which on it is said."""
@@ -99,7 +99,7 @@ def fit_rows(white: Array, slope: Array, prior: Array, prior_slope: Array, n_mea
     return left[:n_rows].reshape(white.shape), ChiSquare(float(np.sum(left[:n_rows] ** 2)), float(n_measured - used))
 
 
-def measure_pulls(posterior: Fittable, draws: Array) -> ChiSquare:
+def measure_pulls(posterior: LogPosterior, draws: Array) -> ChiSquare:
     """Return χ² of how far the posterior lies from nominal, from draws (..., n) in own units."""
     flat, priors = draws.reshape(-1, draws.shape[-1]), list(posterior.all_priors().values())[: posterior.n_geometry]
     if not priors:

@@ -7,7 +7,7 @@ measures the pose of a platform on legs, whole or in part.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -26,17 +26,17 @@ from bayescal.config.sections import (
 )
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
-from bayescal.density.schema import KERNEL, STATED, FixedConfig, ModelErrorConfig, PriorConfig, TermNames
+from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig, TermNames
 from bayescal.experiments.shared.readings.schema import (
-    BesideConfig,
     ChannelConfig,
     DataTableConfig,
     ErrorTermConfig,
     FreeConfig,
     InstrumentConfig,
     ModelErrorScaleConfig,
-    NextConfig,
-    OriginConfig,
+    NextReadingsConfig,
+    ProvenanceConfig,
+    ReferenceValuesConfig,
     ValidationConfig,
 )
 from bayescal.experiments.shared.schema import (
@@ -47,7 +47,7 @@ from bayescal.experiments.shared.schema import (
     RotationNoiseConfig,
     UnitsConfig,
 )
-from bayescal.experiments.shared.slips import DeniedSlips
+from bayescal.experiments.shared.slips import IgnoredDataErrors
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
 
 TABLES = ("targets", "poses", "points")
@@ -57,27 +57,25 @@ TABLES = ("targets", "poses", "points")
 class MeasuredConfig(Section):
     """What all kinds of measurement have."""
 
-    gone: ClassVar[Mapping[str, str]] = {"origin": "the section [origin] with status and text"}
-
     actuator_noise_um: NotNegative
     """Standard deviation of an actuator's position about what it reads."""
 
     @model_validator(mode="before")
     @classmethod
     def _check_tables(cls, value: Any) -> Any:
-        """Refuse the table of another measurement, before it is an unknown key."""
+        """Refuse the table of another instrument, before it is an unknown key."""
         if isinstance(value, dict):
-            own = value.get("measurement", TABLES[0])
+            own = value.get("instrument", TABLES[0])
             for other in TABLES:
                 if other in value and other != own and own in TABLES:
-                    raise ValueError(f"found a table of {other} beside measurement {own!r}, expected its own alone")
+                    raise ValueError(f"found a table of {other} beside instrument {own!r}, expected its own alone")
         return value
 
 
 class TargetDataConfig(MeasuredConfig):
     """Photogrammetry targets on base and platform and what is known of their noise."""
 
-    measurement: Literal["targets"] = Field(default="targets", exclude_if=lambda value: value == "targets")
+    instrument: Literal["targets"] = Field(default="targets", exclude_if=lambda value: value == "targets")
     """`"targets"`, which is what holds where nothing is said."""
     targets: InputFile
     """CSV file of measured targets."""
@@ -87,14 +85,14 @@ class TargetDataConfig(MeasuredConfig):
     """CSV file of where targets sit on their bodies."""
     target_noise_um: Positive
     """Standard deviation of a target's coordinates."""
-    pose_method: Literal["robust", "line", "least_squares"] = "robust"
+    pose_estimator: Literal["robust", "line", "least_squares"] = "robust"
     """How a body's pose is found: `robust` (targets may be wrong), `line` (RR-8096) or `least_squares`."""
 
 
 class PoseDataConfig(RotationNoiseConfig, MeasuredConfig):
     """Poses that an instrument handed out, whole or in part; the table states its noise, or these keys do."""
 
-    measurement: Literal["poses"]
+    instrument: Literal["poses"]
     """`"poses"`."""
     poses: InputFile
     """CSV file of poses."""
@@ -107,7 +105,7 @@ class PoseDataConfig(RotationNoiseConfig, MeasuredConfig):
 class PointDataConfig(MeasuredConfig):
     """Points on the platform that stations tracked; the table states its noise, or these keys do."""
 
-    measurement: Literal["points"]
+    instrument: Literal["points"]
     """`"points"`."""
     points: InputFile
     """CSV file of tracked points."""
@@ -143,7 +141,7 @@ class PointDataConfig(MeasuredConfig):
 
 
 def _tag_data(value: Any) -> str:
-    found = value.get("measurement", "targets") if isinstance(value, dict) else getattr(value, "measurement", value)
+    found = value.get("instrument", "targets") if isinstance(value, dict) else getattr(value, "instrument", value)
     return f"{MEASURED}{found}"
 
 
@@ -189,11 +187,6 @@ class VariantConfig(FreeConfig):
     no name of its own; several free sets or model errors of one model and deformation need names.
     """
 
-    gone: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(KERNEL, STATED),
-        "published": "claims, whose class reads printed values by itself",
-    }
-
     model: Annotated[str, ClassMark("MODELS")] | None = None
     """Kinematic model of a machine on legs; `bayescal list models` shows all."""
     deformation: Annotated[str, ClassMark("DEFORMATIONS")] = "none"
@@ -208,27 +201,29 @@ class VariantConfig(FreeConfig):
     """Channels that it takes in; all where nothing is said."""
     machine: InputFile | None = None
     """Another machine's file for this variant."""
-    noise: Literal["unknown", "stated"] = "unknown"
-    """Noise as `stated`, or `unknown` as far as [unknown_noise] and a [model_error] by channel allow; terms of the
-    model error are no noise, and hold all the same.
+    noise_known: bool = False
+    """Whether noise is as stated; else it is unknown as far as [noise_factor_log_sd] and a [model_error] by channel
+    allow. Terms of the model error are no noise, and hold all the same.
     """
-    errors: Names | None = Field(default=None, exclude_if=lambda value: value is None)
-    """Sections of [errors] that it has; all whose channels it takes in where nothing is said."""
-    robust: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
-    """Degrees of freedom of a density that lets single poses be wrong; fewer forgive more [1]."""
-    outlier_share: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
+    error_terms: Names | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Sections of [error_terms] that it has; all whose channels it takes in where nothing is said."""
+    student_t_dof: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    """Degrees of freedom of a Student t density that lets single poses be outliers; fewer forgive more [1]."""
+    outlier_fraction: Annotated[float, Field(gt=0.0, lt=0.5)] | None = Field(
         default=None, exclude_if=lambda value: value is None
     )
-    """Share of poses that are expected to be outliers, whose posterior is inferred; in place of `robust` [1]."""
-    poses_with: Names = Field(default=[])
+    """Fraction of poses that are expected to be outliers, whose posterior is inferred; instead of `student_t_dof`
+    [1].
+    """
+    require_columns: Names = Field(default=[])
     """Keep to poses for which these columns are known."""
 
     @property
     def outliers(self) -> Outliers:
         """What poses are like that are wrong as a whole."""
-        if self.outlier_share is not None:
-            return Contaminated(SharePrior(self.outlier_share))
-        return NORMAL if self.robust is None else StudentT.centred(self.robust)
+        if self.outlier_fraction is not None:
+            return Contaminated(SharePrior(self.outlier_fraction))
+        return NORMAL if self.student_t_dof is None else StudentT.centred(self.student_t_dof)
 
     @property
     def seen(self) -> tuple[str, str]:
@@ -245,8 +240,8 @@ class VariantConfig(FreeConfig):
     def _check_name_and_outliers(self) -> Self:
         if {"/", "."} & set(self.name) and self.has_own_name:
             raise ValueError(f"name: found {self.name!r}, expected a name without slashes and dots")
-        if self.robust is not None and self.outlier_share is not None:
-            raise ValueError("found robust and outlier_share, expected one of them")
+        if self.student_t_dof is not None and self.outlier_fraction is not None:
+            raise ValueError("found student_t_dof and outlier_fraction, expected one of them")
         return self
 
 
@@ -264,30 +259,20 @@ TAU_SCALES = [1.0, 3.0, 10.0, 30.0, 100.0]
 
 
 class SensitivityConfig(Section):
-    """Factors on the widths of all priors, sd or half width, for which the evidence is computed anew.
+    """Factors on the widths of all priors, sd or half width, for which the evidence is computed again.
 
-    The scale of the model error's prior is varied by itself, without computing anew.
+    The scale of the model error's prior is varied by itself, without computing again.
     """
 
-    factor: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.5, 1.0, 2.0, 5.0])
+    prior_width_factors: Annotated[list[Factor], AfterValidator(check_once)] = Field(default=[0.5, 1.0, 2.0, 5.0])
     """Factors on the widths of all priors for which evidences are computed again; `[]` for none [1]."""
-    tau_scale_um: Annotated[list[Positive], AfterValidator(check_once)] = Field(
+    random_scale_grid_um: Annotated[list[Positive], AfterValidator(check_once)] = Field(
         default=TAU_SCALES, exclude_if=lambda value: value == TAU_SCALES
     )
     """Scales of the model error's prior, tried by reweighting."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_tolerance(cls, content: Any) -> Any:
-        if isinstance(content, dict) and "tolerance_mm" in content:
-            raise ValueError(
-                "tolerance_mm: replaced by factor, which multiplies the width of every prior, expected for example "
-                "factor = [0.5, 1.0, 2.0, 5.0]"
-            )
-        return content
 
-
-AS_STATED = SensitivityConfig(factor=[1.0])
+AS_STATED = SensitivityConfig(prior_width_factors=[1.0])
 BY_INSTRUMENT = {"frames"}
 """Sections that mean something of an instrument's poses alone."""
 BY_TABLES = {"instruments", "sensors"}
@@ -296,15 +281,13 @@ BY_TABLES = {"instruments", "sensors"}
 class StudyConfig(ExperimentConfig):
     """A calibration: any machine, what was measured of it and how well, tolerances, variants to compare, effort."""
 
-    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine", "blunders": "outlier_share in [[variants]]"}
-
     kind: Literal["study"]
     """`"study"`."""
-    origin: OriginConfig
+    provenance: ProvenanceConfig
     """Where the data come from."""
     machine: InputFile
     """The machine's TOML file."""
-    claims: Annotated[str, ClassMark("CLAIMS")] | None = None
+    published_claims: Annotated[str, ClassMark("CLAIMS")] | None = None
     """Statements of a publication that are put to the results: their class, as `file.py:Class`."""
     instruments: dict[Name, InstrumentConfig] = Field(default={}, exclude_if=lambda value: not value)
     """By name: instruments beside the machine, which give it more channels."""
@@ -320,13 +303,13 @@ class StudyConfig(ExperimentConfig):
     """Tolerance of each symbol."""
     frames: FramesConfig = Field(default=FramesConfig(), exclude_if=lambda value: value == FramesConfig())
     """Frames that are found with the machine, mm and degrees."""
-    unknown_noise: dict[str, Positive] = Field(default={}, exclude_if=lambda value: not value)
+    noise_factor_log_sd: dict[str, Positive] = Field(default={}, exclude_if=lambda value: not value)
     """By group of channels: standard deviation of the logarithm of a factor on its noise [1]."""
     model_error: StudyErrorConfig = ModelErrorConfig()
     """What the models leave out, in terms whose sizes are found; or of tables of readings τ alone, by channel or kind.
     """
-    errors: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
-    """By name: errors common to all rows, such as functions of what is read, or those of a class of one's own."""
+    error_terms: dict[Name, ErrorTermConfig] = Field(default={}, exclude_if=lambda value: not value)
+    """By name: errors that all rows share, such as functions of what is read, or those of a user-defined class."""
     workspace: dict[str, Bounds] = Field(default={}, exclude_if=lambda value: not value)
     """By coordinate: smallest and largest value where accuracy counts; the range of the measured poses where nothing
     is said [unit of the coordinate].
@@ -339,7 +322,7 @@ class StudyConfig(ExperimentConfig):
     """Whether accuracy is what remains after a best fit of the frames of base and tool (`aligned`), or is relative to
     marks on the `base`.
     """
-    denied_slips: DeniedSlips = Field(default=[], exclude_if=lambda value: not value)
+    ignored_data_errors: IgnoredDataErrors = Field(default=[], exclude_if=lambda value: not value)
     """Kinds of slips that its data look like and are not, as somebody says who looked: `unit`, `legs`, `rows`, `poses`,
     `channel`, `frame`."""
     variants: Annotated[list[VariantConfig], Field(min_length=1)]
@@ -350,9 +333,9 @@ class StudyConfig(ExperimentConfig):
         default_factory=lambda known: AS_STATED if _is_tables(known) else SensitivityConfig()
     )
     """Other widths of the priors."""
-    beside: list[BesideConfig] = Field(default=[], exclude_if=lambda value: not value)
+    reference_values: list[ReferenceValuesConfig] = Field(default=[], exclude_if=lambda value: not value)
     """Values from elsewhere that stay out of the fit."""
-    next: NextConfig = NextConfig()
+    next: NextReadingsConfig = NextReadingsConfig()
     """What to measure next."""
     sampler: SamplerConfig = SamplerConfig()
     """Effort of sampling."""

@@ -41,7 +41,6 @@ from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, spread_over_legs
-from bayescal.experiments.shared.readings.reading_tables import USES
 from bayescal.experiments.shared.readings.workspace import (
     Workspace,
     build_workspace,
@@ -49,6 +48,7 @@ from bayescal.experiments.shared.readings.workspace import (
     draw_given,
     draw_standing,
 )
+from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.simulation.schema import (
     FrameTruthConfig,
     PlatformInstrumentConfig,
@@ -101,7 +101,7 @@ class ReadingPlan:
     @property
     def n_held_back(self) -> int:
         """How many poses are held back."""
-        return self.config.verification_poses
+        return self.config.n_verification_poses
 
     @property
     def n_poses(self) -> int:
@@ -118,7 +118,7 @@ class ReadingPlan:
         config, model = self.config, self.model
         drawn = self._draw_machine(rng)  # in any case, so that a given truth leaves poses and noise as they are
         theta = round_as_written(drawn if self.truth is None else self.truth)
-        given = draw_given(config.given, self.n_poses, rng)
+        given = draw_given(config.conditions, self.n_poses, rng)
         pose, exact = draw_standing(model, self.workspace, theta, given, self.n_poses, rng)
         measured = exact + self.noise * rng.standard_normal(exact.shape)
         n_calibration = self.n_poses - self.n_held_back
@@ -136,7 +136,7 @@ class ReadingPlan:
             for k, name in enumerate(names)
         ]
         coordinates = [f"{one.name}_{one.unit}" for one in model.coordinates]
-        origin = config.origin.text
+        origin = config.provenance.text
         files = {
             "readings.csv": format_table([origin, "Columns end with their unit."], columns, rows),
             PARAMETERS_FILE: format_true_parameters([origin, "True parameters."], model.layout, theta),
@@ -165,7 +165,7 @@ class ReadingPlan:
 def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     """Return what is simulated; InputError for every fault of the config or its files."""
     whole = read_model(config, folder)
-    check_given(config.given, whole)
+    check_given(config.conditions, whole)
     noise = noise_of_channels(config.sensors, whole)
     chosen = whole.select(config.sensors)
     priors, fixed, common = choose_priors(config, config, whole.layout)
@@ -201,7 +201,7 @@ def _read_mechanism(config: SimulationConfig, folder: Path, matrix: str | None) 
     n_legs = mechanism.n_legs
     bent = np.zeros((n_legs, n_legs)) if matrix is None else 1e-3 * read_matrix(folder / matrix, n_legs)
     chosen = choose_model(config.model, "model", folder)
-    with name_failures(chosen.found, "model", folder):
+    with name_failures(chosen.found, "model"):
         machine = build_chosen_machine(chosen, mechanism, MatrixDeformation(bent))
     return Legs(machine, inclined=any(name.partition("[")[0] in TILTS for name in config.sensors))
 
@@ -215,7 +215,7 @@ def read_truth(config: SimulationConfig, layout: ParameterLayout, folder: Path) 
         return round_as_written(read_true_parameters(folder / truth.parameters, layout))
     theta, units = layout.nominal.copy(), Units(config.units.length, config.units.angle)
     for symbol, offset in (truth.offsets or {}).items():
-        index = look_up(layout.index, symbol, "truth.offsets", folder)
+        index = look_up(layout.index, symbol, "truth.offsets")
         values = spread_over_legs(offset, len(index), symbol, "truth.offsets")
         theta[index] += units.factor(layout.block(symbol).unit) * np.array(values)
     layout.check(theta)
@@ -266,7 +266,7 @@ class Twin:
         targets, n_legs = self.config.targets, self.mechanism.n_legs
         if targets is None:
             return n_legs + DEGREES_OF_FREEDOM
-        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.per_pad
+        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.targets_per_pad
         return n_legs + 3 * n_targets
 
     @property
@@ -284,7 +284,7 @@ class Twin:
         """Return the texts of all files by their names, and all true parameters."""
         if self.frames is None:
             survey, poses = survey_twin(self, rng)
-            return format_survey(survey, self.config.origin.text) | format_truth(self, poses), self.theta
+            return format_survey(survey, self.config.provenance.text) | format_truth(self, poses), self.theta
         files, poses = _simulate_readings(self, self.frames, rng)
         return files | format_truth(self, poses), np.concatenate([self.theta, self.frames.ravel()])
 
@@ -305,10 +305,10 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     machine, poses, targets = model.machine, config.poses, config.targets
     assert poses is not None
     check_home_pose(machine)
-    if targets is not None and targets.per_pad and not isinstance(machine.deformation, MatrixDeformation):
+    if targets is not None and targets.targets_per_pad and not isinstance(machine.deformation, MatrixDeformation):
         raise InputError(
-            f"targets.per_pad: found {targets.per_pad} on a machine with a deformation of its own, expected a "
-            "mechanism's file and truth.deformation_matrix, which pads follow"
+            f"targets.targets_per_pad: found {targets.targets_per_pad} on a machine with a deformation of its own, "
+            "expected a mechanism's file and truth.deformation_matrix, which pads follow"
         )
     tables = (poses.calibration, poses.verification)
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
@@ -399,15 +399,15 @@ def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTa
     rigid = points_of(config.targets.platform)
     pads = []
     for joint in mechanism.platform_points:
-        azimuth = 2 * np.pi * np.arange(config.targets.per_pad) / config.targets.per_pad
+        azimuth = 2 * np.pi * np.arange(config.targets.targets_per_pad) / config.targets.targets_per_pad
         circle = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
         pads.append(joint + (config.targets.pad_radius_mm or 0.0) * circle)
     reference = np.round(np.concatenate([rigid, *pads]), TARGET_DECIMALS)
     leg = np.concatenate(
-        [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.per_pad)]
+        [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.targets_per_pad)]
     )
     names = [f"P{k:02d}" for k in range(1, len(rigid) + 1)]
-    names += [f"L{i}{k}" for i in range(1, mechanism.n_legs + 1) for k in range(1, config.targets.per_pad + 1)]
+    names += [f"L{i}{k}" for i in range(1, mechanism.n_legs + 1) for k in range(1, config.targets.targets_per_pad + 1)]
     return (
         BodyTargets(tuple(f"B{k:02d}" for k in range(1, len(base) + 1)), np.zeros(len(base), int), base, nothing),
         BodyTargets(tuple(names), leg, reference, nothing),
@@ -426,7 +426,7 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
 
 def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
-    origin = twin.config.origin.text
+    origin = twin.config.provenance.text
     about_parameters = "True parameters of the machine that the survey is of."
     about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
     return {
@@ -467,7 +467,7 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
 
 def _simulate_readings(twin: Twin, frames: Array, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
     """Return the texts of the tables that an instrument leaves of a twin, by their names, and the true poses (P, 6)."""
-    config, origin = twin.config.instrument, twin.config.origin.text
+    config, origin = twin.config.instrument, twin.config.provenance.text
     commanded, _, found = move(twin, rng, twin.theta)
     pairs = np.concatenate([frames[:-1], np.broadcast_to(frames[-1:], frames[:-1].shape)], axis=1)
     seen = move_frames(pairs, found.position[None], found.rotation[None])
@@ -512,7 +512,7 @@ def _format_points(
     reading = _aim(places, stations)
     noise = PointNoise((), config.range_um, config.range_ppm, config.azimuth_arcsec, config.elevation_arcsec)
     reading = reading + spread_polar(noise, reading[..., 0]) * rng.standard_normal(reading.shape)
-    there = rng.random(reading.shape[:-1]) >= config.missed
+    there = rng.random(reading.shape[:-1]) >= config.missing_fraction
     there[0, :, 0] |= ~there.any(axis=(0, 2))  # a pose without any point would be none
     rows = [
         (name, station, point, f"{r:.6f}", f"{np.degrees(azimuth):.9f}", f"{np.degrees(elevation):.9f}")

@@ -10,16 +10,19 @@ import numpy as np
 import pandas as pd
 
 from bayescal.data.truth import round_as_written
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment, look_at_machine
 from bayescal.experiments.simulation.compute import ReadingPlan, Twin, build_twin, plan_readings
+from bayescal.experiments.simulation.rows import ROWS, TruthRow
 from bayescal.experiments.simulation.schema import SimulationConfig
+from bayescal.files.rows import check_tables
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
-from bayescal.report.blocks import Column, Page, Section, Statement, make_table
-from bayescal.report.numbers import format_count, format_fixed
+from bayescal.report.blocks import KeyFigure, Page, PageSection, Statement
+from bayescal.report.numbers import format_count
+from bayescal.report.row_tables import tabulate_rows
 
 KIND = "Simulation"
 TEXT = 30
@@ -32,6 +35,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
     """Readings of any machine, or what an instrument sees of a platform on legs, with the truth beside them."""
 
     schema = SimulationConfig
+    rows = ROWS
     digits = 12
 
     def machines(self, config: SimulationConfig) -> list[str]:
@@ -46,7 +50,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 
-    def estimate_memory(self, inputs: Plan) -> Need:
+    def estimate_memory(self, inputs: Plan) -> MemoryEstimate:
         """Return what the data and their texts take."""
         n_poses, each = inputs.n_poses, inputs.width
         counts = {"poses": n_poses, "readings of each": each}
@@ -58,35 +62,37 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
         config, rng = inputs.config, np.random.default_rng(inputs.config.seed)
         files, theta = inputs.simulate(rng)
         count = {"calibration": inputs.n_poses - inputs.n_held_back, "verification": inputs.n_held_back}
-        summary = {"data_origin": config.origin.text, "n_poses": count, "files": list(files)}
+        summary = {"data_origin": config.provenance.text, "n_poses": count, "files": list(files)}
         return Results(summary, {"truth": _tabulate(inputs.layout, theta)}, files)
 
     def page(self, results: Results) -> Page:
         """Return the page: what was simulated, and the truth."""
+        check_tables(ROWS, results.tables, results.folder or Path())
         count, provenance = results.summary["n_poses"], results.provenance
         poses = f"{count['calibration']} poses for calibration and {count['verification']} for verification"
-        columns = [Column("Parameter", kind="name"), Column("Unit", kind="text"), Column("Nominal"), Column("True")]
-        rows = [
-            [str(row["parameter"]), str(row["unit"]), format_fixed(row["nominal"], 6), format_fixed(row["true"], 6)]
-            for row in results.table("truth").to_dict("records")
-        ]
+        rows = TruthRow.read(results.table("truth"))
         files = ", ".join(results.summary["files"])
         return Page(
             KIND,
             str(provenance.get("name", "")),
             str(provenance.get("title", "")),
             results.summary["data_origin"],
-            f"{poses} were simulated; nothing was measured.",
-            (Statement(f"{format_count(len(rows))} parameters are off their nominal values.", lead="Truth"),),
+            f"{poses} were simulated.",
+            (Statement(f"{format_count(len(rows))} parameters deviate from nominal.", lead="Truth", value=len(rows)),),
             (
-                Section("Files", (f"The data are in {files}.",)),
-                Section("Truth", (make_table("Parameters that are off their nominal values.", columns, rows),)),
+                PageSection("Files", (f"The data are in {files}.",)),
+                PageSection("Truth", (tabulate_rows("Parameters that deviate from nominal.", rows),)),
+            ),
+            key_figures=(
+                KeyFigure("Calibration poses", str(count["calibration"])),
+                KeyFigure("Verification poses", str(count["verification"])),
+                KeyFigure("Parameters off nominal", format_count(len(rows))),
+                KeyFigure("Files", str(len(results.summary["files"]))),
             ),
         )
 
 
 def _tabulate(layout: ParameterLayout, true: Array) -> pd.DataFrame:
     """Return the parameters that are off their nominal values, as far as files of the truth have digits."""
-    columns = {"parameter": layout.names, "unit": layout.units, "nominal": layout.nominal, "true": true}
-    table = pd.DataFrame(columns)
+    table = TruthRow.tabulate(parameter=layout.names, unit=layout.units, nominal=layout.nominal, true=true)
     return table[round_as_written(layout.nominal) != true].reset_index(drop=True)

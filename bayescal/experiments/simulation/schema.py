@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -20,20 +19,20 @@ from bayescal.config.sections import (
     Vector,
 )
 from bayescal.density.schema import PriorConfig
-from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, OriginConfig
+from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, ProvenanceConfig
 from bayescal.experiments.shared.schema import Bounds, Range, RotationNoiseConfig, UnitsConfig
 from bayescal.machines.schema import TargetRingConfig
 
 
 class TruthConfig(Section):
-    """A given true machine, in place of one drawn within [parameters]: nominal plus offsets, or of a file."""
+    """A given true machine, instead of one drawn within [parameters]: nominal plus offsets, or of a file."""
 
     deformation_matrix: InputFile | None = None
     """CSV file of the true deformation matrix K of a machine on legs; rigid without one."""
     offsets: dict[str, PerLeg] | None = None
     """True minus nominal value by symbol, one for all or one each [as tolerances]."""
     parameters: InputFile | None = None
-    """CSV file of the true parameters, as a simulation writes it; in place of offsets."""
+    """CSV file of the true parameters, as a simulation writes it; instead of offsets."""
 
     @model_validator(mode="after")
     def _check_one(self) -> Self:
@@ -69,15 +68,15 @@ class TargetsConfig(Section):
     """Circles of targets on the base."""
     platform: Annotated[list[TargetRingConfig], Field(min_length=1)]
     """Circles of targets on the rigid part of the platform."""
-    per_pad: Annotated[int, Field(ge=0, le=100)] = 0
+    targets_per_pad: Annotated[int, Field(ge=0, le=100)] = 0
     """Targets on the pad of each leg's joint."""
     pad_radius_mm: Positive | None = None
     """Radius of the circle that the targets of a pad lie on."""
 
     @model_validator(mode="after")
     def _check_pads(self) -> Self:
-        if self.per_pad and self.pad_radius_mm is None:
-            raise ValueError(f"found per_pad {self.per_pad} without pad_radius_mm, expected both")
+        if self.targets_per_pad and self.pad_radius_mm is None:
+            raise ValueError(f"found targets_per_pad {self.targets_per_pad} without pad_radius_mm, expected both")
         return self
 
 
@@ -136,8 +135,8 @@ class PointInstrumentConfig(Section):
     """Standard deviation of an azimuth."""
     elevation_arcsec: Positive
     """Standard deviation of an elevation."""
-    missed: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of points that are not seen [1]."""
+    missing_fraction: Annotated[Number, Field(ge=0.0, lt=1.0)] = 0.0
+    """Fraction of points that are not seen [1]."""
     frames: FramesTruthConfig = FramesTruthConfig()
     """True frames of stations and probe."""
 
@@ -145,14 +144,14 @@ class PointInstrumentConfig(Section):
 type PlatformInstrumentConfig = Annotated[PoseInstrumentConfig | PointInstrumentConfig, Field(discriminator="kind")]
 
 
-class SimulatedOriginConfig(OriginConfig):
+class SimulatedProvenanceConfig(ProvenanceConfig):
     """What the files say of where the data come from: not measured."""
 
     status: Literal["simulated", "reconstructed"]
     """`simulated`, or `reconstructed` from what somebody printed."""
 
 
-OF_CHANNELS = ("sensors", "n_poses", "verification_poses", "instruments", "parameters", "workspace", "given")
+OF_CHANNELS = ("sensors", "n_poses", "n_verification_poses", "instruments", "parameters", "workspace", "conditions")
 OF_PLATFORM = ("truth", "poses", "noise", "measurement_frame")
 """Sections of readings, the first two needed, and of what an instrument sees, the first three needed."""
 
@@ -164,11 +163,9 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     [targets] or [instrument] make a survey of the platform, at actuator positions of tables.
     """
 
-    gone: ClassVar[Mapping[str, str]] = {"mechanism": "machine"}
-
     kind: Literal["simulation"]
     """`"simulation"`."""
-    origin: SimulatedOriginConfig
+    provenance: SimulatedProvenanceConfig
     """What is written into all files about where they come from."""
     machine: InputFile
     """The machine's TOML file, as nominal; a mechanism's is one."""
@@ -177,7 +174,7 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     units: UnitsConfig = UnitsConfig()
     """Units of tolerances, of the truth's offsets and of the workspace."""
     truth: TruthConfig | None = None
-    """A given true machine in place of a drawn one."""
+    """A given true machine instead of a drawn one."""
     instruments: dict[Name, InstrumentConfig] = Field(default={})
     """By name: instruments beside the machine."""
     sensors: dict[str, ChannelConfig] = Field(default={})
@@ -186,11 +183,11 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     """Tolerance of each symbol, within which the true machine is drawn."""
     workspace: dict[str, Bounds] = Field(default={})
     """By coordinate: smallest and largest value of the poses [unit of the coordinate]."""
-    given: dict[str, Range] = Field(default={})
+    conditions: dict[str, Range] = Field(default={})
     """By column: smallest and largest value of what the machine has to know of a row [unit of the column]."""
     n_poses: Annotated[int, Field(ge=1, le=100_000)] | None = None
     """Number of random poses to calibrate with."""
-    verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
+    n_verification_poses: Annotated[int, Field(ge=0, le=100_000)] = 0
     """Number of random poses that are held back."""
     poses: PosesConfig | None = None
     """At which actuator positions an instrument sees the platform."""
@@ -201,7 +198,7 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     measurement_frame: MeasurementFrameConfig | None = None
     """How far the frame of photogrammetry wanders from pose to pose."""
     instrument: PlatformInstrumentConfig | None = None
-    """An instrument that sees the platform of a machine on legs, in place of photogrammetry."""
+    """An instrument that sees the platform of a machine on legs, instead of photogrammetry."""
 
     @property
     def sees_platform(self) -> bool:

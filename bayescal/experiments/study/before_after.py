@@ -14,16 +14,18 @@ import pandas as pd
 
 from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.prediction import predict_poses
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.prediction import Prediction
 from bayescal.errors import NumericalError
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.knowledge import look_around
+from bayescal.experiments.shared.readings.knowledge import linearise_workspace
 from bayescal.experiments.shared.requirements import name_required_units, read_requirements
+from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.study.tables import USES, find_seen
+from bayescal.experiments.study.rows import BeforeAfterRow, RequirementResultRow
+from bayescal.experiments.study.tables import find_seen
 from bayescal.identifiability.reading_rows import typical_given
-from bayescal.identifiability.requirements import Standing
+from bayescal.identifiability.requirements import RequirementSummary
 from bayescal.numerics.geometry import Array
 
 ALL = "all"  # what requirements are called together
@@ -52,7 +54,7 @@ def tabulate_before_after(
     named = [one.stem[-1:] for one in channels] == list(AXES[: len(channels)])
     if found is None or not channels or not named or len({one.kind for one in channels}) not in (1, len(channels)):
         return pd.DataFrame()
-    places, plain = [k for k in seen[:3] if k is not None], replace(variant.plain(), errors=Errors())
+    places, plain = [k for k in seen[:3] if k is not None], replace(variant.plain(), errors=ErrorModel())
     expected, frames = np.zeros((1, plain.n_geometry)), set(variant.model.instrument_symbols)
     for k, name in enumerate(plain.sampling.names):
         if name.partition("[")[0] in frames and name in plain.priors:
@@ -67,14 +69,12 @@ def tabulate_before_after(
         errors.append(_fit(measured - error, measured, ~variant.verification) if variant.aligned else error)
     sizes = [np.linalg.norm(one, axis=1) for one in errors]
     there = np.isfinite(sizes).all(axis=0)
-    table = pd.DataFrame(
-        {
-            "variant": variant.name,
-            "pose": variant.data.poses,
-            "use": np.where(variant.verification, *reversed(USES)),
-            "before_mm": sizes[0],
-            "after_mm": sizes[1],
-        }
+    table = BeforeAfterRow.tabulate(
+        variant=variant.name,
+        pose=variant.data.poses,
+        use=np.where(variant.verification, *reversed(USES)),
+        before_mm=sizes[0],
+        after_mm=sizes[1],
     )
     return table[there] if there.any() else pd.DataFrame()
 
@@ -105,29 +105,27 @@ def tabulate_requirements(
     if not required:
         return pd.DataFrame()
     some = y[np.linspace(0, len(y) - 1, min(DRAWS, len(y))).astype(int)]
-    at = look_around(variant, machine.posterior, machine.y, np.random.default_rng([seed, 5]))
+    at = linearise_workspace(variant, machine.posterior, machine.y, np.random.default_rng([seed, 5]))
     given, standing = typical_given(variant.data.given, len(at.pose)), None
     if np.isfinite(at.noise).all():
         remaining = machine.remain(variant.internal, at.pose, given, some, seed, variant.aligned)
         drawn = machine.draw(some, np.random.default_rng([seed, 6]))
         try:
             theta = machine.posterior.theta(some)
-            standing = Standing(remaining.find_largest(required, theta, drawn[:, len(machine.geometry) :]))
+            standing = RequirementSummary(remaining.find_largest(required, theta, drawn[:, len(machine.geometry) :]))
         except NumericalError:  # poses that the calibrated machine cannot take
             standing = None
     units, nan = name_required_units(config.requirements, variant.model, config.units), float("nan")
-    rows = [
-        {
-            "variant": variant.name,
-            "requirement": one.name,
-            "unit": units[one.name],
-            "limit": config.requirements[one.name],
-            "limit_inner": one.limit,
-            "error": nan if standing is None else config.requirements[one.name] * float(standing.bound(KEPT)[k]),
-            "probability": nan if standing is None else float(standing.probabilities[k]),
-        }
-        for k, one in enumerate(required)
-    ]
-    together = nan if standing is None else standing.probability
-    every = {"requirement": ALL, "unit": "", "limit": nan, "limit_inner": nan, "error": nan, "probability": together}
-    return pd.DataFrame([*rows, {"variant": variant.name, **every}])
+    limits = np.array([config.requirements[one.name] for one in required])
+    bounds, each, together = np.full(len(required), nan), np.full(len(required), nan), nan
+    if standing is not None:
+        bounds, each, together = standing.bound(KEPT), standing.probabilities, standing.probability
+    return RequirementResultRow.tabulate(
+        variant=variant.name,
+        requirement=[*(one.name for one in required), ALL],
+        unit=[*(units[one.name] for one in required), ""],
+        limit=[*limits, nan],
+        limit_inner=[*(one.limit for one in required), nan],
+        error=[*(limits * bounds), nan],
+        probability=[*each, together],
+    )

@@ -20,16 +20,17 @@ from bayescal.calibrated.exported import (
     read_matrix_covariance,
 )
 from bayescal.calibrated.functions import KnownFunctions
-from bayescal.calibrated.machine import CalibratedMachine, Errors, LegErrors, Source, build_calibrated
+from bayescal.calibrated.machine import CalibratedMachine, CommandErrors, LegErrors, Source, build_calibrated
 from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import Results, Writer
+from bayescal.experiments.runner.results import Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.posterior_files import read_draws, read_functions
 from bayescal.experiments.shared.readings.found_frames import FoundFrames, list_unstated, settle_unstated
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_instruments, read_model
@@ -38,11 +39,11 @@ from bayescal.experiments.shared.readings.noise import group_channels, noise_of_
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig, stem_of
-from bayescal.experiments.shared.trees import read_draws, read_functions
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import CommandErrorRow
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import Legs, ReadingModel, legs_of, place
+from bayescal.machines.readings import Legs, ReadingModel, as_legs, place
 from bayescal.numerics.geometry import Array
 
 COMMANDS = "commands.csv"
@@ -91,7 +92,7 @@ def tabulate_errors(
     """Return by what each commanded channel errs: noise and model error, root mean squares over draws of the posterior.
 
     Errors that are functions count by their mean squares at the calibration poses, with the model error; sizes that the
-    data hardly determine by their 90 % intervals (`Errors.limit`).
+    data hardly determine by their 90 % intervals (`CommandErrors.limit`).
 
     Parameters
     ----------
@@ -114,16 +115,24 @@ def tabulate_errors(
     own, square = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))  # of the commanded channels
     present = posterior.likelihood.data.present
     stated = np.nan_to_num(noise_of_channels(config.sensors, whole))
-    rows: list[dict[str, Any]] = []
+    rows = list[CommandErrorRow]()
     for k in whole.select(whole.commanded):
         channel, noise, model_error = whole.channels[k], float(stated[k]), 0.0
         if channel.name in names:
             own_k, there = commanded.index(names.index(channel.name)), present[:, names.index(channel.name)]
             noise = float(np.sqrt((np.median(own[:, there, own_k], axis=1) ** 2).mean()))
             model_error = float(np.sqrt(square[:, there, own_k].mean()))
-        named = {"variant": variant.name, "channel": channel.name, "unit": channel.unit}
-        rows.append({**named, "noise": noise, "model_error": model_error, **_relate(variant, channel.name)})
-    return pd.DataFrame(rows)
+        rows.append(
+            CommandErrorRow(
+                variant=variant.name,
+                channel=channel.name,
+                unit=channel.unit,
+                noise=noise,
+                model_error=model_error,
+                others=_relate(variant, channel.name),
+            )
+        )
+    return CommandErrorRow.collect(rows)
 
 
 def _relate(variant: Variant, channel: str) -> dict[str, float]:
@@ -161,13 +170,13 @@ def calibrate_machine(
             "those of a new run, or the study's config: --experiment STUDY.toml"
         )
     folder = kept / str(results.summary["machine_folder"]) if experiment is None else experiment.parent
-    path = Path(os.path.normpath(folder / (chosen.machine or config.machine)))
+    path = folder.with_segments(os.path.normpath(str(folder / (chosen.machine or config.machine))))
     covariance = None
     if chosen.model is None:
         model = read_kept(path, results.hashes).with_optional(config.parameters)
     elif experiment is not None and not config.by_tables:
         inputs = StudyInputs.load(config, folder)
-        whole, pads = legs_of(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
+        whole, pads = as_legs(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
         assert whole is not None
         model = Legs(whole.machine, has_gains=whole.has_gains)
         covariance = None if pads is None else pads.matrix.by_row
@@ -176,7 +185,9 @@ def calibrate_machine(
             if name not in list_references(what):
                 check_same(folder, list_sources(what, name, folder), results.hashes)
         if (kept / MATRIX).is_file():  # as it was measured
-            measured = config.deformation.model_copy(update={"matrix": os.path.relpath(kept / MATRIX, folder)})
+            measured = config.deformation.model_copy(
+                update={"matrix": os.path.relpath(str(kept / MATRIX), str(folder))}
+            )
             config = config.model_copy(update={"deformation": measured})
         model = read_model(config, chosen, path, folder)
         if (kept / MATRIX_COVARIANCE).is_file():
@@ -191,7 +202,7 @@ def calibrate_machine(
     errors = _build_errors(results, chosen.name, model)
     noise = _find_noise(results, config, chosen.name, model, solution)
     problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
-    source = Source(config.name, chosen.name, name_origin(config.origin.model_dump()), problems, solution.say())
+    source = Source(config.name, chosen.name, name_origin(config.provenance.model_dump()), problems, solution.say())
     functions = _read_functions(results, chosen.name, solution)
     units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}
     if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
@@ -367,11 +378,11 @@ def _read_commands(folder: Path, variant: str, model: ReadingModel) -> tuple[Arr
     return (whole[:, : len(columns)] if len(whole) and columns else None), given
 
 
-def _build_errors(results: Results, variant: str, model: ReadingModel) -> Errors:
+def _build_errors(results: Results, variant: str, model: ReadingModel) -> CommandErrors:
     """Return by what the commands err, by the table of the results."""
     table = results.table(ERRORS)
     if not len(model.commanded):  # all channels stand beside the machine, and the table has no row
-        return Errors(np.zeros((0, 0)), np.zeros(0))
+        return CommandErrors(np.zeros((0, 0)), np.zeros(0))
     if table.empty:
         raise InputError(f"{results.folder}: found no table {ERRORS}.csv, expected results of this version")
     mine = table[table["variant"] == variant]
@@ -385,4 +396,4 @@ def _build_errors(results: Results, variant: str, model: ReadingModel) -> Errors
     correlation = np.eye(len(sd))
     if set(columns) <= set(mine.columns) and mine[columns].notna().all(axis=None):
         correlation = mine[columns].to_numpy(dtype=float)
-    return Errors(correlation * np.outer(sd, sd), tau**2)
+    return CommandErrors(correlation * np.outer(sd, sd), tau**2)

@@ -1,6 +1,6 @@
 """What a publication says of a study: its claims are tested, and the page refers to its figures and symbols.
 
-A class of one's own supplies these; the study's config attaches it: ``claims = "file.py:Class"``.
+A user-defined class supplies these; the study's config attaches it: ``published_claims = "file.py:Class"``.
 """
 
 from __future__ import annotations
@@ -45,10 +45,8 @@ class Claims(ABC):
     def tabulate(self, inputs: StudyInputs, summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
         """Return tables for the study's results, by name: ``claims`` has a row for each claim that the study allows.
 
-        Its columns are ``claim``, ``section``, ``statement``, ``expected``, ``found``, ``value``, ``unit``, ``verdict``
-        (holds, does not hold, not testable) and ``why``. Where values are printed, ``least_squares`` has a row for each
-        parameter and leg: ``variant``, ``parameter``, ``leg``, ``unit``, ``nominal``, ``offset``, ``published_offset``
-        (NaN without any), ``difference``, ``leg_residual_rms_um`` and ``converged``.
+        Its rows are `ClaimRow`. Where values are printed, ``least_squares`` has a `PublishedParameterRow` for each
+        parameter and leg.
         """
 
     def describe(self) -> dict[str, Any]:

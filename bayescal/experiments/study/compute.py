@@ -9,13 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.frame.losses import attempt
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.losses import attempt
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.estimate import TREE
-from bayescal.experiments.shared.slips import Misstated
+from bayescal.experiments.shared.posterior_files import write_packed
+from bayescal.experiments.shared.slips import MisstatedInput
 from bayescal.experiments.shared.study_schema import stem_of
-from bayescal.experiments.shared.trees import write_packed
 from bayescal.experiments.study.calibrated import list_machine_files
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import begin_widths, tabulate_widths
@@ -25,7 +25,7 @@ from bayescal.experiments.study.tables import rank_variants
 
 def compute_study(inputs: StudyInputs, run: Run) -> Results:
     """Return what a study found."""
-    config, held, factors = inputs.config, inputs.verification, inputs.config.sensitivity.factor
+    config, held, factors = inputs.config, inputs.verification, inputs.config.sensitivity.prior_width_factors
     fits = run.map("sampling", fit_variant, inputs, {name: name for name in inputs.variants}, (ReadingFit,), spare=True)
     await_widths = begin_widths(inputs, fits, run)  # while workers compute them, all that needs none
     (variants, tables, more), slip, claims = describe_readings(inputs, fits, run), inputs.slip, inputs.claims
@@ -35,23 +35,23 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         "seed": config.seed,
         "machine": inputs.machine,
         "machine_folder": inputs.machine_folder,
-        "origin": config.origin.model_dump(),
+        "origin": config.provenance.model_dump(),
         "units": config.units.model_dump(),
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
         "converged": not any(fit.list_problems() for fit in fits.values()),
         **more,
         "variants": variants,
         "rankings": rank_variants(variants),
-        **({} if slip is None else {"slip": slip.record()}),
-        **({} if inputs.denied is None else {"denied_slips": [inputs.denied.say()]}),
+        **({} if slip is None else {"suspected_data_error": slip.record()}),
+        **({} if inputs.denied is None else {"ignored_data_errors": [inputs.denied.say()]}),
         **({} if claims is None else {"publication": claims.describe()}),
     }
     if slip is None:
-        found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (Misstated,))
+        found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (MisstatedInput,))
         summary["misstated"] = None if found is None else asdict(found)
     if claims is not None:
         judge = partial(run.once, "claims", _judge, (inputs, dict(summary)))
-        tables |= attempt(f"the claims of {config.claims}", judge, dict[str, pd.DataFrame]())
+        tables |= attempt(f"the claims of {config.published_claims}", judge, dict[str, pd.DataFrame]())
     if widths := await_widths():
         tables["sensitivity"] = tabulate_widths(fits, widths, factors)
     trees = {name: fit.evaluated[TREE] for name, fit in fits.items() if TREE in fit.evaluated}
@@ -64,7 +64,7 @@ def _name_best(fits: Mapping[str, ReadingFit]) -> str:
     return max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
 
 
-def _find_misstated(task: tuple[StudyInputs, str]) -> Misstated | None:
+def _find_misstated(task: tuple[StudyInputs, str]) -> MisstatedInput | None:
     inputs, name = task
     return inputs.find_misstated([name])
 

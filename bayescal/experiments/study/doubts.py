@@ -8,16 +8,16 @@ from bayescal.experiments.shared.readings.columns import doubt_columns
 from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import legs_of
+from bayescal.machines.readings import as_legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_plain, format_significant
 
-FAR = 0.03
+MAX_SHIFT_FRACTION = 0.03
 """Shift in units of the machine's size beyond which no drawing is that wrong."""
-ALIKE = 3.0
+MIN_SHIFT_RATIO = 3.0
 """Shift in units of what the poses scatter about it, below which it is not one for all."""
 FEWEST = 3
-ENOUGH = 0.5  # share of the poses at which the machine as drawn has to stand somewhere
+MIN_REACHED_FRACTION = 0.5  # share of the poses at which the machine as drawn has to stand somewhere
 
 
 def doubt_copies(inputs: ReadingInputs) -> list[str]:
@@ -33,7 +33,7 @@ def doubt_zero(inputs: ReadingInputs) -> list[str]:
     Only poses measured whole in a known frame are looked at: an unknown one is found by the calibration.
     """
     first = next(iter(inputs.variants.values()))
-    legs, names = legs_of(first.whole), list(first.model.names)
+    legs, names = as_legs(first.whole), list(first.model.names)
     wanted = () if legs is None else (*legs.commanded, "x", "y", "z")
     if legs is None or not {*wanted} <= {*names}:
         return []
@@ -45,7 +45,7 @@ def doubt_zero(inputs: ReadingInputs) -> list[str]:
         return []
     mean, scatter = shift
     distance, size = float(np.linalg.norm(mean)), measure_size(machine.mechanism)
-    if distance < FAR * size or distance < ALIKE * scatter:
+    if distance < MAX_SHIFT_FRACTION * size or distance < MIN_SHIFT_RATIO * scatter:
         return []
     each = ", ".join(format_plain(one, 3) for one in mean)
     return [
@@ -66,7 +66,7 @@ def find_shift(machine: Machine, position: Array, actuators: Array) -> tuple[Arr
     """
     found = solve_forward_kinematics(machine, machine.layout.nominal, actuators, check=False)
     off = (position - found.position)[found.converged]
-    if len(off) < max(FEWEST, ENOUGH * len(position)) or not np.isfinite(off).all():
+    if len(off) < max(FEWEST, MIN_REACHED_FRACTION * len(position)) or not np.isfinite(off).all():
         return None
     mean = off.mean(axis=0)
     return mean, float(np.sqrt(np.mean(np.sum((off - mean) ** 2, axis=1))))

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayescal.config.registry import find_class
 from bayescal.errors import name_faults
-from bayescal.experiments.shared.knowledge_page import NO_TOOL
+from bayescal.experiments.shared.knowledge_page import NO_TOOL, TOOL_ACTION
 from bayescal.experiments.shared.measured import MeasuredReadings
 from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.origin import name_origin
@@ -23,7 +23,7 @@ from bayescal.experiments.shared.readings.priors import check_ranges
 from bayescal.experiments.shared.requirements import read_requirements
 from bayescal.experiments.shared.slip_search import find_slip, find_suspects
 from bayescal.experiments.shared.slip_verdict import Rival
-from bayescal.experiments.shared.slips import FoundSlip, Misstated
+from bayescal.experiments.shared.slips import FoundSlip, MisstatedInput
 from bayescal.experiments.shared.study_schema import StudyConfig
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ class StudyInputs(ReadingInputs):
         """
         found = cls(**vars(read_inputs(config, folder, only)), folder=folder)
         for name, variant in found.variants.items():
-            for factor in config.sensitivity.factor:
-                with name_faults(f"variant {name!r}: sensitivity.factor {factor:g}"):
+            for factor in config.sensitivity.prior_width_factors:
+                with name_faults(f"variant {name!r}: sensitivity.prior_width_factors {factor:g}"):
                     wide = variant.posterior(factor=factor).priors
                     check_ranges(wide, variant.model.layout, variant.common)
         return found
@@ -64,12 +64,12 @@ class StudyInputs(ReadingInputs):
     @cached_property
     def claims(self) -> Claims | None:
         """What a publication claims of the study; InputError for a class that is none, or wants what is not there."""
-        if self.config.claims is None:
+        if self.config.published_claims is None:
             return None
         from bayescal.experiments.study.claims import Claims
 
         kind = Claims
-        found = find_class("CLAIMS", self.config.claims, kind, "claims", self.folder, self.folder)()  # type: ignore[type-abstract]
+        found = find_class("CLAIMS", self.config.published_claims, kind, "published_claims", None, self.folder)()  # type: ignore[type-abstract]
         found.check(self)
         return found
 
@@ -78,16 +78,19 @@ class StudyInputs(ReadingInputs):
         from bayescal.experiments.shared.estimate import time_fit
         from bayescal.experiments.study.readings import ReadingSubject
 
-        config, posteriors = self.config, [one.posterior().anchored() for one in self.variants.values()]
-        widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.factor)
+        config, posteriors = self.config, [one.posterior().with_pose_guesses() for one in self.variants.values()]
+        widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.prior_width_factors)
         each = [widths * time_fit(ReadingSubject(one), config.sampler, config.evidence) for one in posteriors]
         return PAGE + ROW * len(self.verification) + max(max(each), sum(each) / workers)
 
     def outlook(self) -> list[str]:
         """Return what each variant's readings can determine, and in lines what is not used or not there."""
         stated = all(one.model.states_tool for one in self.variants.values())
-        said = join_outlooks({name: one.tell_outlook() for name, one in self.variants.items()})
-        return [*said, *filter(None, (self.found, self.unused, self.missing, "" if stated else NO_TOOL))]
+        said = join_outlooks({name: one.describe_determinacy() for name, one in self.variants.items()})
+        return [
+            *said,
+            *filter(None, (self.found, self.unused, self.missing, "" if stated else f"{NO_TOOL} {TOOL_ACTION}")),
+        ]
 
     @cached_property
     def slip(self) -> FoundSlip | None:
@@ -97,20 +100,20 @@ class StudyInputs(ReadingInputs):
     @cached_property
     def denied(self) -> FoundSlip | None:
         """The slip that the data look like and the config denies; None where they look like none."""
-        denied = self.config.denied_slips
+        denied = self.config.ignored_data_errors
         found = find_slip(one.list_readings() for one in self.variants.values()) if denied else None
         return found if found is not None and found.fault in denied else None
 
     @cached_property
     def _suspects(self) -> tuple[FoundSlip | None, list[Rival]]:
-        return find_suspects((one.list_readings() for one in self.variants.values()), self.config.denied_slips)
+        return find_suspects((one.list_readings() for one in self.variants.values()), self.config.ignored_data_errors)
 
     @cached_property
-    def misstated(self) -> Misstated | None:
+    def misstated(self) -> MisstatedInput | None:
         """What is stated wrong or needs large errors, looked for once; None where the data themselves are suspected."""
         return self.find_misstated(list(self.variants))
 
-    def find_misstated(self, names: Sequence[str]) -> Misstated | None:
+    def find_misstated(self, names: Sequence[str]) -> MisstatedInput | None:
         """Return the same by some variants."""
         if self.slip is not None:
             return None
@@ -120,7 +123,7 @@ class StudyInputs(ReadingInputs):
 
     def measure(self, names: Sequence[str], with_model_error: bool = True) -> dict[str, MeasuredReadings]:
         """Return the posteriors of variants' calibration poses, without terms of [model_error] where not wanted."""
-        origin, chosen = name_origin(self.config.origin.model_dump()), {name: self.variants[name] for name in names}
+        origin, chosen = name_origin(self.config.provenance.model_dump()), {name: self.variants[name] for name in names}
         return {
             name: MeasuredReadings(
                 name,
@@ -132,7 +135,7 @@ class StudyInputs(ReadingInputs):
                 int(one.verification.sum()),
                 {} if self.seen is None else self.seen.measured.described,
                 one.aligned,
-                tuple(self.config.denied_slips),
+                tuple(self.config.ignored_data_errors),
             )
             for name, one in chosen.items()
         }

@@ -10,22 +10,23 @@ from rich.console import Console
 
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError, NumericalError, name_faults
-from bayescal.experiments.frame.memory import Need
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.terminal import show_verdict
-from bayescal.experiments.shared.calibrating import Calibrating, load_same
+from bayescal.experiments.runner.memory import MemoryEstimate
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.terminal import show_verdict
+from bayescal.experiments.shared.calibrating import CalibratingKind, load_same
 from bayescal.experiments.shared.headline import list_candidates, read_rows
-from bayescal.experiments.shared.measured import MeasuredReadings, Measuring
+from bayescal.experiments.shared.measured import MeasuredReadings, MeasuringKind
 from bayescal.experiments.shared.readings.instruments import list_machines
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment
 from bayescal.experiments.shared.readings.measurement import list_file_faults
 from bayescal.experiments.shared.search_memory import estimate_calibration
 from bayescal.experiments.shared.slip_causes import WIDE
-from bayescal.experiments.shared.slips import Misstated, tell_denial
+from bayescal.experiments.shared.slips import MisstatedInput, tell_denial
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.study.doubts import doubt_copies, doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import ROWS
 from bayescal.experiments.study.terminal import show_comparison, show_ranking
 from bayescal.report.blocks import Page
 
@@ -33,11 +34,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating):
+class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, CalibratingKind):
     """A machine calibrated from what was measured of it: variants ranked by evidence and by prediction."""
 
     schema = StudyConfig
     tables_in = "tables"
+    rows = ROWS
     tables_of_machine = ("parameters", "errors")
     imports = ("bayescal.experiments.study.compute", "arviz_stats", "emcee")
     page_imports = ("bayescal.report.canvas", "bayescal.experiments.study.page.build")
@@ -56,7 +58,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         """Return what is wrong with the machine and each table by itself."""
         return [] if isinstance(content.get("data"), list) else list_file_faults(content, folder)
 
-    def estimate_memory(self, inputs: StudyInputs) -> Need:
+    def estimate_memory(self, inputs: StudyInputs) -> MemoryEstimate:
         """Return what the posteriors take."""
         return estimate_calibration(inputs)
 
@@ -69,7 +71,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
         found = _find_misstated(inputs)
         return [*inputs.outlook(), *([found.say()] if found is not None and found.fault == WIDE else [])]
 
-    def doubt(self, inputs: StudyInputs, *, before_run: bool = False) -> list[str]:
+    def list_warnings(self, inputs: StudyInputs, *, before_run: bool = False) -> list[str]:
         """Return what may be wrong: a place that only wide tolerances explain, a noise or a tolerance."""
         copies = doubt_copies(inputs)
         if inputs.slip is not None:
@@ -80,7 +82,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def suspect(self, inputs: StudyInputs) -> list[str]:
         """Return what seems to have happened to data that one slip explains far better than errors of the machine."""
-        return [] if inputs.slip is None else [f"{inputs.slip.say()}{tell_denial('denied_slips')}"]
+        return [] if inputs.slip is None else [f"{inputs.slip.say()}{tell_denial('ignored_data_errors')}"]
 
     def compute(self, inputs: StudyInputs, run: Run) -> Results:
         """Return posteriors, evidence and predictions of all variants."""
@@ -101,7 +103,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], Measuring, Calibrating)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that data seem to be wrong, and that a posterior did not converge."""
-        wrong = ["the data seem to be wrong"] if results.summary.get("slip") else []
+        wrong = ["the data seem to be wrong"] if results.summary.get("suspected_data_error") else []
         return wrong if results.summary["converged"] else [*wrong, "not everything converged"]
 
     def measure(
@@ -182,7 +184,7 @@ def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[s
     }
 
 
-def _find_misstated(inputs: StudyInputs) -> Misstated | None:
+def _find_misstated(inputs: StudyInputs) -> MisstatedInput | None:
     """Return what is stated wrong; None, too, where that cannot be said, which takes nothing from what else is."""
     try:
         return inputs.misstated

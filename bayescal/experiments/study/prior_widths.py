@@ -15,12 +15,13 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import NumericalError
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.shared.estimate import Fit, shift_evidence
 from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import ReadingSubject
+from bayescal.experiments.study.rows import PriorWidthRow
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import (
     ACCEPTABLE,
@@ -31,9 +32,9 @@ from bayescal.inference.exploration import (
     explore_near,
     weigh_proposal,
 )
-from bayescal.inference.importance import NO_PARETO, ImportanceEvidence
+from bayescal.inference.importance import NO_PARETO, WORTH_ANOTHER, ImportanceEvidence
 from bayescal.inference.schema import EvidenceConfig
-from bayescal.inference.target import Fittable
+from bayescal.inference.target import LogPosterior
 from bayescal.limits import OUT_OF_QUESTION
 from bayescal.numerics.geometry import Array
 
@@ -43,6 +44,8 @@ NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
 """Of a width whose evidence could not be computed."""
 ERROR = 0.03
 """Standard error in nats that is enough."""
+PILOTS = 0
+"""Pilots of a proposal: a width costs less than the study's own fit, and its evidence has the error that it has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +53,15 @@ class WidthTask:
     """A unit of work: the evidence of a variant with all priors wider or narrower by a factor.
 
     ``modes`` (M, n) are those with the study's own priors, in sampling coordinates; ``behind`` is by how many nats of
-    log-evidence the variant is behind the best then.
+    log-evidence the variant is behind the best then. ``is_hard`` is whether too few draws count for that evidence,
+    or its error is not to be trusted.
     """
 
     variant: str
     factor: float
     modes: Array
     behind: float = 0.0
+    is_hard: bool = False
 
     @property
     def key(self) -> str:
@@ -71,7 +76,13 @@ def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[
     """
     best = max(rank_evidence(fit.importance.log_evidence) for fit in fits.values())
     tasks = [
-        WidthTask(name, factor, fit.modes, best - rank_evidence(fit.importance.log_evidence))
+        WidthTask(
+            name,
+            factor,
+            fit.modes,
+            best - rank_evidence(fit.importance.log_evidence),
+            fit.importance.is_doubtful or fit.importance.efficiency < ACCEPTABLE,
+        )
         for factor in factors
         for name, fit in fits.items()
         if factor != 1.0
@@ -86,7 +97,7 @@ def begin_widths(
 
     They are by factor and variant.
     """
-    tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.factor)}
+    tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)}
     if not tasks:
         return dict
     wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,), spare=True)
@@ -97,10 +108,10 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     """Compute one task; all numbers depend on inputs and task alone."""
     config, variant = inputs.config, inputs.variants[task.variant]
     seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
-    subject, known = ReadingSubject(variant.posterior(factor=task.factor).anchored()), variant.posterior()
-    starts = subject.posterior.adopt(known.theta(task.modes), task.modes[:, known.n_geometry :])
-    draws, error = min(DRAWS, config.evidence.draws), max(ERROR, config.evidence.target_error)
-    effort = config.evidence.model_copy(update={"draws": draws, "target_error": error})
+    subject, known = ReadingSubject(variant.posterior(factor=task.factor).with_pose_guesses()), variant.posterior()
+    starts = subject.posterior.to_coordinates(known.theta(task.modes), task.modes[:, known.n_geometry :])
+    draws, error = min(DRAWS, config.evidence.draws), max(ERROR, config.evidence.tolerance_nat)
+    effort = config.evidence.model_copy(update={"draws": draws, "tolerance_nat": error})
     exploration, importance = _weigh(task, subject.posterior, starts, seeds, config.sampler.walkers, effort)
     costly = subject.find_costly(exploration)
     return shift_evidence(importance, None if costly is None else correct_evidence(costly, exploration, seeds[2]))
@@ -108,27 +119,44 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
 
 def _weigh(
     task: WidthTask,
-    posterior: Fittable,
+    posterior: LogPosterior,
     starts: Array,
     seeds: Sequence[np.random.SeedSequence],
     walkers: int,
     effort: EvidenceConfig,
 ) -> tuple[Exploration, ImportanceEvidence]:
-    """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question."""
-    search = task.factor > 1.0
+    """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question.
+
+    Where the study's own priors have a poor proposal after all its effort no search of another follows: the evidence
+    is stated with the error and the tail that it has.
+    """
+    search, found = task.factor > 1.0 and not task.is_hard, list[tuple[Exploration, ImportanceEvidence]]()
     try:
-        for enough in (ACCEPTABLE, GOOD_ENOUGH):
+        for enough in (WORTH_ANOTHER,) if task.is_hard else (ACCEPTABLE, GOOD_ENOUGH):
             exploration = explore_near(
-                posterior, starts, seeds[0], walkers, search=search, enough=enough, fine_enough=CORRECTABLE
+                posterior,
+                starts,
+                seeds[0],
+                walkers,
+                search=search,
+                enough=enough,
+                fine_enough=CORRECTABLE,
+                max_pilots=PILOTS,
             )
-            importance = weigh_proposal(exploration, seeds[1], effort)
-            if not importance.is_doubtful or task.behind > OUT_OF_QUESTION:
-                return exploration, importance
+            found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
+            if not found[-1][1].is_doubtful or task.is_hard or task.behind > OUT_OF_QUESTION:
+                return found[-1]
+            if exploration.efficiency < ACCEPTABLE:
+                break  # it was sharpened as far as that goes
             starts, search = np.stack([mode.y for mode in exploration.modes]), False
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, seeds[0], walkers, anew=True, fine_enough=CORRECTABLE)
-    return exploration, weigh_proposal(exploration, seeds[1], effort)
+    exploration = explore(posterior, seeds[0], walkers, PILOTS, from_prior=True, fine_enough=CORRECTABLE)
+    found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
+    best = found.pop()
+    for other in found:
+        best = other if other[1].is_better_than(best[1]) else best
+    return best
 
 
 def tabulate_widths(
@@ -140,13 +168,14 @@ def tabulate_widths(
         for name, fit in fits.items():
             found = widths.get((factor, name), NOT_FOUND) if factor != 1.0 else fit.importance
             rows.append(
-                {
-                    "variant": name,
-                    "factor": factor,
-                    "log_evidence": found.log_evidence,
-                    "log_evidence_se": found.standard_error,
-                    "efficiency": found.efficiency,
-                    "pareto_k": found.pareto_k,
-                }
+                PriorWidthRow(
+                    variant=name,
+                    factor=factor,
+                    log_evidence=found.log_evidence,
+                    log_evidence_se=found.standard_error,
+                    efficiency=found.efficiency,
+                    pareto_k=found.pareto_k,
+                )
             )
-    return pd.DataFrame(rows).sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)
+    table = PriorWidthRow.collect(rows)
+    return table.sort_values(["factor", "log_evidence"], ascending=[True, False], ignore_index=True)

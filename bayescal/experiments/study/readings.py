@@ -22,27 +22,12 @@ from bayescal.density.calibration.prediction import (
     replicate_readings,
 )
 from bayescal.density.prediction import Prediction, compute_elpd
-from bayescal.experiments.frame.losses import attempt
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.losses import attempt
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.shared.error_sizes import find_units
-from bayescal.experiments.shared.estimate import Arrays, Fit, Subject, fit_posterior
+from bayescal.experiments.shared.estimate import Arrays, Fit, PosteriorProblem, fit_posterior
 from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
-from bayescal.experiments.shared.readings.beside import Beside
-from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
-from bayescal.experiments.shared.readings.knowledge import (
-    Knowledge,
-    Learnt,
-    assess,
-    learn_posterior,
-    list_next,
-    list_ridges,
-    name_data,
-    plain,
-    tabulate_accuracy,
-)
-from bayescal.experiments.shared.search_memory import PRIOR_READINGS
-from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
-from bayescal.experiments.shared.trees import (
+from bayescal.experiments.shared.posterior_files import (
     MODE,
     ReadingLayout,
     Variables,
@@ -52,9 +37,30 @@ from bayescal.experiments.shared.trees import (
     split_parameters,
     spread,
 )
+from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
+from bayescal.experiments.shared.readings.knowledge import (
+    IdentifiabilityResult,
+    Learnt,
+    compute_tool_uncertainty,
+    learn_posterior,
+    name_data,
+    plain,
+)
+from bayescal.experiments.shared.readings.reference_values import ReferenceValues
+from bayescal.experiments.shared.search_memory import PRIOR_READINGS
+from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
 from bayescal.experiments.study.before_after import tabulate_before_after, tabulate_requirements
 from bayescal.experiments.study.calibrated import ERRORS, tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import (
+    NotPredictedRow,
+    PoseRow,
+    PredictionRow,
+    ReferenceRow,
+    ResidualRow,
+    ToolPredictionRow,
+    VariantRow,
+)
 from bayescal.experiments.study.tables import (
     describe_errors,
     describe_legs,
@@ -72,7 +78,7 @@ from bayescal.inference.correction import CostlyDensity, pull_back
 from bayescal.inference.exploration import Exploration, explore
 from bayescal.inference.importance import resample
 from bayescal.inference.stages import stage
-from bayescal.inference.target import Fittable
+from bayescal.inference.target import LogPosterior
 from bayescal.machines.readings.gains import find_gains
 from bayescal.numerics.geometry import Array
 
@@ -84,8 +90,8 @@ POSE_DRAWS = 200  # of the posterior, that predict poses
 ERROR_DRAWS = 200  # of the posterior, from which errors common to all rows are drawn for tables
 PROPOSED = 8  # draws of the proposal for each that is used
 IMPROBABLE = 0.01  # probability by the noise, of all poses together, below which a pose's residuals contradict it
-MATTERS = 0.03  # nats, rms, that a frozen density may leave out of posterior and evidence
-DISTRUSTED = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
+MAX_FROZEN_ERROR_NAT = 0.03  # nats, rms, that a frozen density may leave out of posterior and evidence
+OUTLIER_WEIGHT = 0.5  # mean of a pose's precision below which a robust density takes it for an outlier
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +118,11 @@ class Residuals:
         Where single poses may be wrong, these have to be distrusted, too.
         """
         improbable = self.chance < IMPROBABLE / len(self.square)  # each pose is a test of its own
-        return improbable & (self.trust < DISTRUSTED) if robust else improbable
+        return improbable & (self.trust < OUTLIER_WEIGHT) if robust else improbable
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class FoldPrediction:
     """What one fold tells."""
 
     rows: np.ndarray  # (V,): the held-back poses, of the variant's
@@ -132,7 +138,7 @@ class ReadingFit(Fit):
     """A fit of readings, and all that is said of its variant."""
 
     tables: dict[str, pd.DataFrame]  # its rows of the study's tables, by name; none where it has none
-    held: list[Held]  # the prediction of poses kept for verification
+    held: list[FoldPrediction]  # the prediction of poses kept for verification
     # errors of all poses that an instrument saw, by the machine's own channels; None where none saw any
     poses: Prediction | None = None
 
@@ -140,7 +146,7 @@ class ReadingFit(Fit):
 def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     """Return all that is found of a variant; its random numbers depend on the config's seed and the name alone."""
     variant, config = inputs.variants[name], inputs.config
-    subject = ReadingSubject(variant.posterior().anchored())
+    subject = ReadingSubject(variant.posterior().with_pose_guesses())
     posterior = subject.posterior
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
     y = fit.kept_of(0)  # a mean over several solutions is no machine
@@ -160,9 +166,9 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     pack = partial(_pack, subject, fit, name, known)
     packed = attempt(f"the posterior's file {of}", pack, fit.drop(ONLY_SAVED))
     with stage("held-back poses"):
-        hold = partial(hold_back, inputs, (name, 0), (posterior, fit.kept))
+        hold = partial(split_verification, inputs, (name, 0), (posterior, fit.kept))
         is_held = variant.verification.any()
-        held = attempt(f"the held-back poses {of}", lambda: [hold()] if is_held else [], list[Held]())
+        held = attempt(f"the held-back poses {of}", lambda: [hold()] if is_held else [], list[FoldPrediction]())
     with stage("accuracy"):
         learnt = partial(learn_posterior, variant, machine)
         know = partial(_assess, inputs, variant, posterior, y, learnt)
@@ -178,8 +184,8 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
             "before_after": attempt(f"before and after {of}", compare, none),
             "requirements": attempt(f"the requirements {of}", require, none),
             **_tabulate_residuals(variant, _explain(posterior, fit), fit),
-            **({} if knowledge is None else _tabulate_knowledge(inputs, variant, knowledge)),
-            "beside": attempt(f"values from elsewhere {of}", beside, none),
+            **({} if knowledge is None else knowledge.tabulate()),
+            "reference_values": attempt(f"values from elsewhere {of}", beside, none),
             "pose_errors": none if poses is None else tabulate_pose_errors(variant, poses),
         }
     tables = {key: table for key, table in tables.items() if not table.empty}
@@ -213,16 +219,8 @@ def _assess(
     posterior: CalibrationPosterior,
     y: Array,
     learn: Callable[[], Learnt],
-) -> Knowledge:
-    return assess(inputs.config, variant, posterior, y.mean(axis=0), learn())
-
-
-def _tabulate_knowledge(inputs: ReadingInputs, variant: Variant, knowledge: Knowledge) -> dict[str, pd.DataFrame]:
-    return {
-        "accuracy": tabulate_accuracy(variant, knowledge, inputs.config.units),
-        "ridges": pd.DataFrame(list_ridges(variant, knowledge)),
-        "next": pd.DataFrame(list_next(variant, knowledge)),
-    }
+) -> IdentifiabilityResult:
+    return compute_tool_uncertainty(inputs.config, variant, posterior, y.mean(axis=0), learn())
 
 
 def _predict_poses(
@@ -240,7 +238,7 @@ def _predict_poses(
 
 
 @dataclass(frozen=True, eq=False)
-class ReadingSubject(Subject):
+class ReadingSubject(PosteriorProblem):
     """A posterior of readings."""
 
     density: CalibrationPosterior
@@ -250,7 +248,7 @@ class ReadingSubject(Subject):
         """The posterior."""
         return self.density
 
-    def evaluate(self, posterior: Fittable, y: Array, seed: np.random.SeedSequence) -> Arrays:
+    def evaluate(self, posterior: LogPosterior, y: Array, seed: np.random.SeedSequence) -> Arrays:
         """Return the rows' log-densities (E, S, P), and the readings that some draws predict, (E, S', P, K)."""
         flat, own = y.reshape(-1, y.shape[-1]), cast("CalibrationPosterior", posterior)
         density = own.pointwise(flat)
@@ -265,7 +263,7 @@ class ReadingSubject(Subject):
         n_draws = values.shape[0] * values.shape[1]
         return values[:, :: -(-n_draws // limit_draws(n_draws, self.posterior.likelihood.data.values.size))]
 
-    def replicate_prior(self, posterior: Fittable, seed: np.random.SeedSequence) -> Arrays:
+    def replicate_prior(self, posterior: LogPosterior, seed: np.random.SeedSequence) -> Arrays:
         """Return draws of the prior that are machines, (T, n), and their readings at the expected poses (T, P, K)."""
         own, rng = cast("CalibrationPosterior", posterior), np.random.default_rng(seed)
         y = own.draw_prior(limit_draws(PRIOR_READINGS, own.likelihood.data.values.size), rng)
@@ -278,10 +276,10 @@ class ReadingSubject(Subject):
         """Return the density that leaves nothing out, where a fast form of it was explored that differs."""
         explored = cast("CalibrationPosterior", exploration.straight.posterior)
         if explored.likelihood.frozen is not None:
-            return weigh_beside(explored, exploration) if exploration.left_out > MATTERS else None
+            return weigh_beside(explored, exploration) if exploration.left_out > MAX_FROZEN_ERROR_NAT else None
         return None if explored.likelihood.lone is None else weigh_beside(explored, exploration)
 
-    def measure_misfit(self, posterior: Fittable, mode: Array) -> ChiSquare:
+    def measure_misfit(self, posterior: LogPosterior, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""
         own = cast("CalibrationPosterior", posterior)
         m, (theta, change) = own.n_geometry, own.around(mode)
@@ -381,9 +379,9 @@ def list_folds(inputs: ReadingInputs, variant: Variant) -> list[np.ndarray]:
     return [np.isin(np.arange(n), order[k::folds]) for k in range(min(folds, n))]
 
 
-def hold_back(
+def split_verification(
     inputs: ReadingInputs, task: tuple[str, int], known: tuple[CalibrationPosterior, Array] | None = None
-) -> Held:
+) -> FoldPrediction:
     """Return how the held-back poses of a variant's fold are predicted from the others.
 
     Where these are the poses for verification, ``known`` is the posterior that was fitted already, with draws (T, n).
@@ -396,7 +394,7 @@ def hold_back(
     rng = np.random.default_rng(second)
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
-        posterior = variant.posterior(~held).anchored()
+        posterior = variant.posterior(~held).with_pose_guesses()
         found = explore(posterior, first, inputs.config.sampler.walkers, max_pilots=0)  # draws are weighed anyway
         drawn = resample(found.straight.log_density, found.proposal, rng, PROPOSED * effort, effort)
         y, efficiency, pareto_k = found.straight.y_from_x(drawn.draws), drawn.efficiency, drawn.pareto_k
@@ -408,7 +406,7 @@ def hold_back(
         elpd = compute_elpd(posterior.predict_density(likelihood, y))
         predictions = predict_readings(posterior, likelihood, y, rng)
         tool = predict_readings(posterior, likelihood, y, np.random.default_rng(third), variant.internal)
-    return Held(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
+    return FoldPrediction(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
 
 
 def describe_readings(
@@ -424,13 +422,16 @@ def describe_readings(
         if not variant.verification.any()
         for fold in range(len(list_folds(inputs, variant)))
     }
-    predicted = run.map("held-back poses", hold_back, inputs, folds, (Held,), spare=True) if folds else {}
-    every: list[tuple[Variant, ReadingFit, list[Held]]] = []
+    predicted = (
+        run.map("held-back poses", split_verification, inputs, folds, (FoldPrediction,), spare=True) if folds else {}
+    )
+    every: list[tuple[Variant, ReadingFit, list[FoldPrediction]]] = []
     for name, fit in found.items():
         own = [predicted[task] for task, (owner, _) in folds.items() if owner == name and task in predicted]
         every.append((inputs.variants[name], fit, [*fit.held, *own]))
     rows = pd.DataFrame([_describe(*one) for one in every])
-    variants = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()})
+    compared = tabulate_comparison(rows, {name: fit.left_out for name, fit in found.items()})
+    variants = VariantRow.tabulate(**{str(name): compared[name] for name in compared})
     names = dict.fromkeys(name for fit in found.values() for name in fit.tables)
     tables = {
         "variants": variants,
@@ -470,27 +471,27 @@ def describe_readings(
     return known, {name: table for name, table in tables.items() if not table.empty}, summary
 
 
-def _describe(variant: Variant, fit: ReadingFit, held: list[Held]) -> dict[str, Any]:
+def _describe(variant: Variant, fit: ReadingFit, held: list[FoldPrediction]) -> dict[str, Any]:
     """Return a variant's row of the table of variants."""
     poses, predictions = fit.tables["poses"], tabulate_predictions(variant, held)
-    n_equations = int(poses["equations"].sum())
+    n_equations = int(poses["n_dof"].sum())
     freedom = n_equations - len(fit.names)
     row: dict[str, Any] = {
         "variant": variant.name,
         "title": title_variant(variant.config, variant.whole),
-        "data": name_data(variant),
-        "robust": variant.config.outliers.expected,
+        "data_set": name_data(variant),
+        "has_outliers": variant.config.outliers.expected,
         "n_poses": len(poses),
         "n_equations": n_equations,
         "n_parameters": len(fit.names),
         **fit.describe_evidence(),
         "misfit_chi2": fit.misfit.value,
         "misfit_dof": fit.misfit.dof,
-        "pulls_chi2": fit.pulls.value,
-        "pulls_dof": fit.pulls.dof,
+        "prior_chi2": fit.pulls.value,
+        "prior_dof": fit.pulls.dof,
         **fit.describe_chains(),
         "elpd": sum(one.elpd for one in held) if held else float("nan"),
-        "misfit": float(np.sqrt(poses["square"].to_numpy().sum() / freedom)) if freedom > 0 else float("nan"),
+        "reduced_chi": float(np.sqrt(poses["chi2"].to_numpy().sum() / freedom)) if freedom > 0 else float("nan"),
     }
     if fit.poses is not None:
         row |= describe_errors(variant, fit.poses)[0]
@@ -498,14 +499,17 @@ def _describe(variant: Variant, fit: ReadingFit, held: list[Held]) -> dict[str, 
     row["distance_from_nominal_prior_sd"] = fit.pulls.factor
     if fit.correction is not None:
         row |= {
-            "exact_density_shift": fit.correction.log_ratio,
-            "exact_density_se": fit.correction.standard_error,
-            "exact_density_efficiency": float(fit.correction.efficiency),
-            "exact_density_pareto_k": float(fit.correction.pareto_k),
+            "linearisation_log_shift": fit.correction.log_ratio,
+            "linearisation_log_shift_se": fit.correction.standard_error,
+            "linearisation_efficiency": float(fit.correction.efficiency),
+            "linearisation_pareto_k": float(fit.correction.pareto_k),
         }
     if not predictions.empty:
         own = predictions[~predictions["external"]]
-        row |= {"held_readings": len(own), "inside_90": float(own["inside"].mean()) if len(own) else float("nan")}
+        row |= {
+            "n_verification_readings": len(own),
+            "coverage_90": float(own["in_interval_90"].mean()) if len(own) else float("nan"),
+        }
     return row
 
 
@@ -522,75 +526,86 @@ def _tabulate_residuals(variant: Variant, left: Residuals, fit: Fit) -> dict[str
     data = variant.data.pick(~variant.verification)
     rows, places = np.nonzero(data.present)
     channels = [variant.model.channels[k] for k in places]
-    residuals = {
-        "variant": variant.name,
-        "pose": [data.poses[k] for k in rows],
-        "channel": [one.name for one in channels],
-        "unit": [one.unit for one in channels],
-        "measured": data.values[rows, places],
-        "residual": left.left[rows, places],
-        "noise": left.noise[rows, places],
-    }
-    poses = {
-        "variant": variant.name,
-        "pose": list(data.poses),
-        "elpd_loo": fit.left_out.elpd,
-        "pareto_k": fit.left_out.pareto_k,
-        "refitted": fit.left_out.was_refitted.astype(bool),
-        **{f"{one.name}_{one.unit}": left.pose[:, k] for k, one in enumerate(variant.model.coordinates)},
-        "equations": left.freedom,
-        "square": left.square,
-        "chance": left.chance,
-        "trust": left.trust,
-        "contradicting": left.find_contradicting(variant.config.outliers.expected),
-    }
-    return {"residuals": pd.DataFrame(residuals), "poses": pd.DataFrame(poses)}
+    residuals = ResidualRow.tabulate(
+        variant=variant.name,
+        pose=[data.poses[k] for k in rows],
+        channel=[one.name for one in channels],
+        unit=[one.unit for one in channels],
+        measured=data.values[rows, places],
+        residual=left.left[rows, places],
+        noise=left.noise[rows, places],
+    )
+    poses = PoseRow.tabulate(
+        {f"{one.name}_{one.unit}": left.pose[:, k] for k, one in enumerate(variant.model.coordinates)},
+        variant=variant.name,
+        pose=list(data.poses),
+        elpd_loo=fit.left_out.elpd,
+        pareto_k=fit.left_out.pareto_k,
+        loo_refitted=fit.left_out.was_refitted.astype(bool),
+        n_dof=left.freedom,
+        chi2=left.square,
+        p_value=left.chance,
+        robust_weight=left.trust,
+        is_outlier=left.find_contradicting(variant.config.outliers.expected),
+    )
+    return {"residuals": residuals, "poses": poses}
 
 
-def tabulate_lost(variant: Variant, held: list[Held]) -> pd.DataFrame:
+def tabulate_lost(variant: Variant, held: list[FoldPrediction]) -> pd.DataFrame:
     """Return the held-back readings that have no prediction, with the reason."""
-    rows = []
-    for one in held:
-        for pose, k, why in one.predictions.lost:
-            channel = variant.model.channels[k]
-            rows.append((variant.name, variant.data.poses[one.rows[pose]], channel.name, channel.external, why))
-    return pd.DataFrame(rows, columns=["variant", "pose", "channel", "external", "why"])
+    channels = variant.model.channels
+    return NotPredictedRow.collect(
+        NotPredictedRow(
+            variant=variant.name,
+            pose=variant.data.poses[one.rows[pose]],
+            channel=channels[k].name,
+            external=channels[k].external,
+            reason=reason,
+        )
+        for one in held
+        for pose, k, reason in one.predictions.lost
+    )
 
 
-def tabulate_predictions(variant: Variant, held: list[Held], of_tool: bool = False) -> pd.DataFrame:
+def tabulate_predictions(variant: Variant, held: list[FoldPrediction], of_tool: bool = False) -> pd.DataFrame:
     """Return each held-back reading with its prediction; ``of_tool`` by the machine's own readings alone."""
     tables = []
     for one in held:
         found = one.tool if of_tool else one.predictions
         channels = [variant.model.channels[k] for k in found.channel]
-        columns = {
-            "variant": variant.name,
-            "pose": [variant.data.poses[k] for k in one.rows[found.pose]],
-            "channel": [channel.name for channel in channels],
-            "external": [channel.external for channel in channels],
-            "unit": [channel.unit for channel in channels],
-            **{name: getattr(found, name) for name in ("measured", "mean", "sd", "low", "high", "inside")},
-        }
-        tables.append(pd.DataFrame(columns))
+        table = (ToolPredictionRow if of_tool else PredictionRow).tabulate(
+            variant=variant.name,
+            pose=[variant.data.poses[k] for k in one.rows[found.pose]],
+            channel=[channel.name for channel in channels],
+            external=[channel.external for channel in channels],
+            unit=[channel.unit for channel in channels],
+            measured=found.measured,
+            mean=found.mean,
+            sd=found.sd,
+            low=found.low,
+            high=found.high,
+            in_interval_90=found.inside,
+        )
+        tables.append(table)
     return join_tables(tables)
 
 
-def _tabulate_beside(sources: Iterable[Beside], variant: Variant, theta: Array) -> pd.DataFrame:
+def _tabulate_beside(sources: Iterable[ReferenceValues], variant: Variant, theta: Array) -> pd.DataFrame:
     """Return what machines (T, D) make of values from elsewhere, but of what is held fixed without a deviation."""
     tables = []
     for source in sources:
         values = source.evaluate(variant.whole, theta)
-        columns = {
-            "variant": variant.name,
-            "beside": source.title,
-            "source": source.source,
-            "quantity": source.quantities,
-            "unit": source.units,
-            "mean": values.mean(axis=0),
-            "sd": values.std(axis=0),
-            "value": source.values,
-            "value_sd": source.sd,
-        }
+        table = ReferenceRow.tabulate(
+            variant=variant.name,
+            reference=source.title,
+            source=source.source,
+            quantity=source.quantities,
+            unit=source.units,
+            mean=values.mean(axis=0),
+            sd=values.std(axis=0),
+            value=source.values,
+            value_sd=source.sd,
+        )
         is_fixed = (np.ptp(values, axis=0) == 0.0) & np.isnan(source.sd)
-        tables.append(pd.DataFrame(columns)[~is_fixed])
+        tables.append(table[~is_fixed])
     return join_tables(tables)

@@ -12,26 +12,36 @@ import pandas as pd
 from scipy.special import logsumexp
 
 from bayescal.config.classes import label_class
-from bayescal.density.calibration.model_error import IndependentErrors
+from bayescal.density.calibration.model_error import RandomTerm
 from bayescal.density.prediction import Prediction
 from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Fit, Moments
+from bayescal.experiments.shared.function_errors import choose_size_unit
 from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
+from bayescal.experiments.shared.readings.instrument_poses import SeenLegs
 from bayescal.experiments.shared.readings.measurement import Measured
-from bayescal.experiments.shared.readings.schema import OriginConfig
-from bayescal.experiments.shared.readings.seen_legs import SeenLegs
+from bayescal.experiments.shared.readings.schema import ProvenanceConfig
+from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.shared.study_schema import VariantConfig
+from bayescal.experiments.study.rows import (
+    DeformationRow,
+    FlexureRow,
+    JointDeflectionRow,
+    ParameterRow,
+    PoseErrorRow,
+    RandomScaleRow,
+)
 from bayescal.files.csv_tables import format_table
 from bayescal.inference.importance import smooth_weights
-from bayescal.inference.leave_one_out import LeftOut
+from bayescal.inference.leave_one_out import LeaveOneOut
 from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.models.legs import list_dimensions
-from bayescal.machines.readings import ReadingModel, legs_of
+from bayescal.machines.readings import ReadingModel, as_legs
 from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
@@ -42,7 +52,6 @@ BENDING, N_BENDINGS = 1.0, 51  # deg
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 AXIS = re.compile(r"(?P<before>|.*[\W_]|.*[a-z0-9](?=[XYZ]))(?P<axis>[xyzXYZ])(?P<after>[\[_]?\d*\]?)")
 """Name of a position's channel."""
-USES = ("calibration", "verification")
 SAME_SCALE = 1e-6
 """Relative difference of two scales up to which they are one: units are converted with rounding."""
 NOISE = "noise"
@@ -78,30 +87,30 @@ def tabulate_parameters(variant: Variant, fit: Fit, verdicts: Sequence[str]) -> 
     nominal += [float(x) if unit == "1" else 0.0 for unit, x in medians]
     found: list[Moments] = [Moments(fit.mean, fit.sd, fit.q05, fit.q95), *fit.others]
     differ, (factor, units) = find_differing(found), find_units(variant.model, fit.names, fit.units)
-    tables = [
-        pd.DataFrame(
-            {
-                "variant": variant.name,
-                "parameter": fit.names,
-                "unit": units,
-                "nominal": nominal,
-                "prior_sd": factor * fit.prior_sd,
-                **{name: factor * value for name, value in vars(one).items()},
-                "contraction": np.where(differ, np.nan, compute_contraction(one.sd, fit.prior_sd)),
-                "prior_sensitivity": fit.power_scaling[:, 0],
-                "likelihood_sensitivity": fit.power_scaling[:, 1],
-                "verdict": np.where(differ, SEVERAL, np.array([*verdicts, *[NOISE] * n], dtype=object)),
-                "rhat": fit.diagnostics.rhat,
-                "ess_bulk": fit.diagnostics.ess_bulk,
-                "ess_tail": fit.diagnostics.ess_tail,
-            }
+    tables, several = [], len(found) > 1
+    for k, one in enumerate(found):
+        p, se = fit.solutions.probability, fit.solutions.standard_error
+        solution = {"mode": k + 1, "probability": p[k], "probability_se": se[k]} if several else {}
+        table = ParameterRow.tabulate(
+            variant=variant.name,
+            parameter=fit.names,
+            unit=units,
+            nominal=nominal,
+            prior_sd=factor * fit.prior_sd,
+            mean=factor * one.mean,
+            sd=factor * one.sd,
+            q05=factor * one.q05,
+            q95=factor * one.q95,
+            contraction=np.where(differ, np.nan, compute_contraction(one.sd, fit.prior_sd)),
+            prior_sensitivity=fit.power_scaling[:, 0],
+            likelihood_sensitivity=fit.power_scaling[:, 1],
+            verdict=np.where(differ, SEVERAL, np.array([*verdicts, *[NOISE] * n], dtype=object)),
+            rhat=fit.diagnostics.rhat,
+            ess_bulk=fit.diagnostics.ess_bulk,
+            ess_tail=fit.diagnostics.ess_tail,
+            **solution,
         )
-        for one in found
-    ]
-    if len(tables) > 1:
-        both = zip(fit.solutions.probability, fit.solutions.standard_error, strict=True)
-        for k, (table, (p, se)) in enumerate(zip(tables, both, strict=False), start=1):
-            table["mode"], table["probability"], table["probability_se"] = k, p, se
+        tables.append(table)
     return pd.concat(tables, ignore_index=True)
 
 
@@ -136,18 +145,18 @@ def describe_solutions(model: ReadingModel, fit: Fit) -> dict[str, Any]:
 def rank_variants(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     """Return names of variants of the same data together: the largest log-evidence first, what did not converge last.
 
-    Of each variant a row has ``data``, ``converged`` and ``log_evidence``.
+    Of each variant a row has ``data_set``, ``converged`` and ``log_evidence``.
     """
     groups: dict[Any, list[str]] = {}
     for name, row in rows.items():
-        groups.setdefault(row["data"], []).append(name)
+        groups.setdefault(row["data_set"], []).append(name)
     return [
         sorted(names, key=lambda name: (not rows[name]["converged"], -rank_evidence(rows[name]["log_evidence"])))
         for names in groups.values()
     ]
 
 
-def compare_variants(left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
+def compare_variants(left_out: Mapping[str, LeaveOneOut]) -> pd.DataFrame:
     """Return elpd differences from the best variant with standard errors over the rows, and stacking weights.
 
     The densities of each row are taken relative to the best variant's there: neither differences nor weights change,
@@ -184,10 +193,10 @@ def _as_elpd_data(elpd: Array, pareto_k: Array) -> ELPDDataLOO:
     )
 
 
-def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut]) -> pd.DataFrame:
-    """Return a table of variants with how each predicts rows left out, beside the others of the same ``data``."""
+def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeaveOneOut]) -> pd.DataFrame:
+    """Return a table of variants with how each predicts rows left out, beside the others of the same ``data_set``."""
     rows = []
-    for _, some in variants.groupby("data", sort=False):
+    for _, some in variants.groupby("data_set", sort=False):
         group = {str(name): left_out[str(name)] for name in some["variant"]}
         several = compare_variants(group) if len(group) > 1 else None
         for name, one in group.items():
@@ -201,8 +210,8 @@ def tabulate_comparison(variants: pd.DataFrame, left_out: Mapping[str, LeftOut])
                     "elpd_loo_difference_se": 0.0 if several is None else several["dse"][name],
                     "stacking_weight": 1.0 if several is None else several["weight"][name],
                     "loo_pareto_k_max": float(one.pareto_k.max()),
-                    "loo_refitted": int(one.was_refitted.sum()),
-                    "loo_unreliable": int(one.is_doubtful.sum()),
+                    "n_loo_refitted": int(one.was_refitted.sum()),
+                    "n_loo_bad_k": int(one.is_doubtful.sum()),
                 }
             )
     return variants.merge(pd.DataFrame(rows), on="variant")
@@ -235,23 +244,21 @@ def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFra
     """Return one row per pose: errors, predictive intervals and bounds (mm, degrees)."""
     scale = np.array([1.0, 1.0, 1.0, *[np.degrees(1.0)] * 3])
     error, low, high = (part * scale for part in (prediction.error, prediction.low, prediction.high))
-    frame = pd.DataFrame(
-        {
-            "variant": variant.name,
-            "pose": variant.data.poses,
-            "use": np.where(variant.verification, *reversed(USES)),
-            "position_error_mm": prediction.position_error,
-            "position_bound_95_mm": prediction.position_bound,
-            "orientation_error_deg": np.degrees(prediction.orientation_error),
-            "orientation_bound_95_deg": np.degrees(prediction.orientation_bound),
-        }
+    components = {
+        f"{component}_{what}_{'mm' if k < 3 else 'deg'}": values[:, k]
+        for k, component in enumerate(COMPONENTS)
+        for what, values in (("error", error), ("low", low), ("high", high))
+    }
+    return PoseErrorRow.tabulate(
+        variant=variant.name,
+        pose=variant.data.poses,
+        use=np.where(variant.verification, *reversed(USES)),
+        position_error_mm=prediction.position_error,
+        position_bound_95_mm=prediction.position_bound,
+        orientation_error_deg=np.degrees(prediction.orientation_error),
+        orientation_bound_95_deg=np.degrees(prediction.orientation_bound),
+        **components,
     )
-    for k, component in enumerate(COMPONENTS):
-        unit = "mm" if k < 3 else "deg"
-        frame[f"{component}_error_{unit}"] = error[:, k]
-        frame[f"{component}_low_{unit}"] = low[:, k]
-        frame[f"{component}_high_{unit}"] = high[:, k]
-    return frame
 
 
 def describe_errors(variant: Variant, prediction: Prediction) -> tuple[dict[str, float], dict[str, Any]]:
@@ -295,12 +302,14 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
     """
     rows = []
     for name, fit in fits.items():
-        terms = [one for one in inputs.variants[name].errors.terms if isinstance(one, IndependentErrors)]
+        terms = [one for one in inputs.variants[name].errors.terms if isinstance(one, RandomTerm)]
         if not terms:
             continue
         places = [fit.names.index(one.names[0]) for one in terms]
-        own, square = terms[0].scale / MICROMETRE, np.sum((fit.draws[..., places] / MICROMETRE) ** 2, axis=-1).ravel()
-        listed = [one for one in inputs.config.sensitivity.tau_scale_um if not np.isclose(one, own, rtol=SAME_SCALE)]
+        own, square = terms[0].scale, np.sum(fit.draws[..., places] ** 2, axis=-1).ravel()
+        asked = MICROMETRE * np.array(inputs.config.sensitivity.random_scale_grid_um)
+        listed = [float(one) for one in asked if not np.isclose(one, own, rtol=SAME_SCALE)]
+        factor, unit = choose_size_unit(inputs.variants[name].model)
         for scale in sorted({own, *listed}):
             log_weights = len(terms) * np.log(own / scale) + 0.5 * square * (own**-2 - scale**-2)
             gain = float(logsumexp(log_weights) - np.log(len(log_weights)))
@@ -308,18 +317,18 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
             pareto_k = 0.0 if scale == own else smooth_weights(log_weights)[1]
             trusted = pareto_k <= PARETO_K_LIMIT
             rows.append(
-                {
-                    "variant": name,
-                    "own_um": own,
-                    "tau_scale_um": scale,
-                    "log_evidence": fit.importance.log_evidence + gain if trusted else np.nan,
-                    "efficiency": 1.0 / np.mean(relative**2),
-                    "pareto_k": pareto_k,
-                }
+                RandomScaleRow(
+                    variant=name,
+                    unit=unit,
+                    prior_scale=factor * own,
+                    scale=factor * scale,
+                    log_evidence=fit.importance.log_evidence + gain if trusted else np.nan,
+                    efficiency=1.0 / float(np.mean(relative**2)),
+                    pareto_k=pareto_k,
+                )
             )
-    table = pd.DataFrame(rows)
-    by = ["tau_scale_um", "log_evidence"]
-    return table.sort_values(by, ascending=[True, False], ignore_index=True) if rows else table
+    table = RandomScaleRow.collect(rows)
+    return table.sort_values(["scale", "log_evidence"], ascending=[True, False], ignore_index=True)
 
 
 # --- machines on legs ------------------------------------------------------------------------------------------------
@@ -328,7 +337,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
 def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
     """Return joints, flexures, and what targets on pads show of the platform, of a machine on legs."""
     first = next(iter(inputs.variants.values()))
-    legs, seen = legs_of(first.whole), inputs.seen
+    legs, seen = as_legs(first.whole), inputs.seen
     if legs is None:
         return {}
     rho = [k for k, one in enumerate(first.model.channels) if one.kind == "rho"]
@@ -337,13 +346,13 @@ def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
         actuators = first.data.values[:, rho]
         found["joints"] = tabulate_joints(legs.machine.mechanism, actuators, first.data.poses)
     if seen is not None and seen.pads is not None:
-        found |= {"ring": _tabulate_ring(seen), "deformation": _tabulate_deformation(seen)}
+        found |= {"joint_deflection": _tabulate_deflections(seen), "deformation": _tabulate_deformation(seen)}
     return found
 
 
 def describe_legs(inputs: ReadingInputs) -> dict[str, Any]:
     """Return what the summary has of models, drive and measurement of a machine on legs."""
-    every = {name: legs_of(one.whole) for name, one in inputs.variants.items()}
+    every = {name: as_legs(one.whole) for name, one in inputs.variants.items()}
     seen = {one.name: one for one in inputs.config.variants if one.model is not None}
     if not seen:
         return {} if inputs.seen is None else dict(inputs.seen.measured.described)
@@ -381,7 +390,7 @@ def _measure_noise(inputs: ReadingInputs) -> dict[str, float]:
 
 def title_variant(section: VariantConfig, model: ReadingModel) -> str:
     """Return what tables call a variant: its title, or model and deformation of legs that has no name of its own."""
-    legs = legs_of(model)
+    legs = as_legs(model)
     if section.model is None or section.has_own_name or legs is None:
         return section.title
     return f"{legs.machine.model.title}/{label_class(section.deformation)}"
@@ -396,34 +405,32 @@ def tabulate_flexure(mechanism: Mechanism) -> pd.DataFrame:
     for length in np.unique(mechanism.flexures.lengths):
         along, across = compute_beam_shift(np.radians(degrees), float(length))
         circle = compute_circle_shift(across, CIRCLE * length)
-        columns = {
-            "flexure_length_mm": length,
-            "bending_deg": degrees,
-            "across_um": 1e3 * across,
-            "along_beam_um": 1e3 * along,
-            "along_pivot_um": 1e3 * compute_circle_shift(across, PIVOT * length),
-            "along_circle_um": 1e3 * circle,
-            "circle_error_nm": 1e6 * (circle - along),
-        }
-        frames.append(pd.DataFrame(columns))
+        table = FlexureRow.tabulate(
+            flexure_length_mm=length,
+            bending_deg=degrees,
+            across_um=1e3 * across,
+            along_beam_um=1e3 * along,
+            along_pivot_um=1e3 * compute_circle_shift(across, PIVOT * length),
+            along_circle_um=1e3 * circle,
+            circle_error_nm=1e6 * (circle - along),
+        )
+        frames.append(table)
     return pd.concat(frames, ignore_index=True)
 
 
-def _tabulate_ring(seen: SeenLegs) -> pd.DataFrame:
+def _tabulate_deflections(seen: SeenLegs) -> pd.DataFrame:
     """Return the measured deflection of every joint at every pose, µm, with its standard deviation."""
     assert seen.pads is not None
     deflection, verification = seen.pads.deflection, seen.measured.verification
     sd = np.sqrt(np.diagonal(deflection.covariance, axis1=-2, axis2=-1))
     n_poses, n_legs = seen.displacement.shape
-    return pd.DataFrame(
-        {
-            "pose": np.repeat(seen.measured.poses.names, n_legs),
-            "use": np.repeat(np.where(verification, "verification", "calibration"), n_legs),
-            "leg": np.tile(np.arange(1, n_legs + 1), n_poses),
-            "actuator_displacement_mm": seen.displacement.ravel(),
-            "deflection_um": 1e3 * deflection.displacement.ravel(),
-            "deflection_sd_um": 1e3 * sd.ravel(),
-        }
+    return JointDeflectionRow.tabulate(
+        pose=np.repeat(seen.measured.poses.names, n_legs),
+        use=np.repeat(np.where(verification, *reversed(USES)), n_legs),
+        leg=np.tile(np.arange(1, n_legs + 1), n_poses),
+        actuator_displacement_mm=seen.displacement.ravel(),
+        deflection_um=1e3 * deflection.displacement.ravel(),
+        deflection_sd_um=1e3 * sd.ravel(),
     )
 
 
@@ -431,25 +438,17 @@ def _tabulate_deformation(seen: SeenLegs) -> pd.DataFrame:
     """Return κ and K from the targets with posterior standard deviations, in 1e-3."""
     assert seen.pads is not None
     n, matrix, kappa = seen.mechanism.n_legs, seen.pads.matrix, seen.pads.kappa
-    rows = [
-        {"quantity": "kappa", "leg": i + 1, "actuator": i + 1, "mean_1e-3": 1e3 * k, "sd_1e-3": 1e3 * s}
-        for i, (k, s) in enumerate(zip(kappa.kappa, kappa.sd, strict=True))
-    ]
-    rows += [
-        {
-            "quantity": "K",
-            "leg": i + 1,
-            "actuator": j + 1,
-            "mean_1e-3": 1e3 * matrix.matrix[i, j],
-            "sd_1e-3": 1e3 * matrix.sd[i, j],
-        }
-        for i in range(n)
-        for j in range(n)
-    ]
-    return pd.DataFrame(rows)
+    each = np.arange(1, n + 1)
+    return DeformationRow.tabulate(
+        quantity=["kappa"] * n + ["K"] * n**2,
+        leg=np.concatenate([each, np.repeat(each, n)]),
+        actuator=np.concatenate([each, np.tile(each, n)]),
+        mean_permille=1e3 * np.concatenate([kappa.kappa, matrix.matrix.ravel()]),
+        sd_permille=1e3 * np.concatenate([kappa.sd, matrix.sd.ravel()]),
+    )
 
 
-def format_poses(measured: Measured, origin: OriginConfig) -> str:
+def format_poses(measured: Measured, origin: ProvenanceConfig) -> str:
     """Return the extracted poses as CSV text: position (mm), rotation vector (degrees) and covariance (µm, µrad)."""
     poses = measured.poses
     pairs = [(i, j) for i in range(6) for j in range(i, 6)]

@@ -9,39 +9,37 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from bayescal.experiments.frame.terminal import Shown, print_table, print_text
+from bayescal.experiments.runner.terminal import TerminalColumn, print_table, print_text
 from bayescal.experiments.shared.headline import (
     describe_candidate,
     order_candidates,
     read_rows,
-    say_named_first,
-    state_rivals,
 )
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.report.numbers import MICROMETRES, NOTHING, format_estimate, format_fixed
+from bayescal.report.numbers import MICROMETRES, NO_VALUE, format_estimate, format_fixed
 
 if TYPE_CHECKING:
     import pandas as pd
 
 RANKING = (
-    Shown("rank"),
-    Shown("variant", justify="left"),
-    Shown("log-evidence", 2),
-    Shown("difference"),
-    Shown("elpd LOO", 3),
-    Shown("elpd held back", 4),
-    Shown("position error"),
-    Shown("converged"),
+    TerminalColumn("rank"),
+    TerminalColumn("variant", justify="left"),
+    TerminalColumn("log-evidence", 2),
+    TerminalColumn("difference"),
+    TerminalColumn("elpd LOO", 3),
+    TerminalColumn("elpd held back", 4),
+    TerminalColumn("position error"),
+    TerminalColumn("converged"),
 )
 COMPARED = (
-    Shown("results", justify="left"),
-    Shown("variant", justify="left"),
-    Shown("free", 3),
-    Shown("log-evidence", 1),
-    Shown("difference"),
-    Shown("elpd LOO", 2),
-    Shown("elpd verif.", 4),
-    Shown("converged"),
+    TerminalColumn("results", justify="left"),
+    TerminalColumn("variant", justify="left"),
+    TerminalColumn("free", 3),
+    TerminalColumn("log-evidence", 1),
+    TerminalColumn("difference"),
+    TerminalColumn("elpd LOO", 2),
+    TerminalColumn("elpd verif.", 4),
+    TerminalColumn("converged"),
 )
 
 
@@ -54,13 +52,12 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     use = "verification" if summary["n_poses"]["verification"] else "calibration"
     of_poses = any(fit.get(use) for fit in summary["variants"].values())
     shown = [one for one in RANKING if of_poses or one.title != "position error"]
-    rows, told = [], list[str]()
+    rows = []
     for ranking in summary["rankings"]:
         of_data = {name: summary["variants"][name] for name in ranking}
         candidates = [describe_candidate(*one) for one in of_data.items()]
         fits = {one.name: of_data[one.name] for one in order_candidates(candidates)}
         best = max((one.log_evidence for one in candidates if one.converged), default=math.nan)
-        told += [*filter(None, [say_named_first(candidates)]), *(one.text for one in state_rivals(candidates))]
         for rank, (name, fit) in enumerate(fits.items(), start=1):
             row = [
                 str(rank) if fit["converged"] else "not ranked",
@@ -76,14 +73,12 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
     print_table(console, tuple(shown), rows)
     errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
     print_text(console, f"{errors}log-evidence in nats")
-    for said in told:
-        print_text(console, said)
     for name, fit in summary["variants"].items():
-        if fit.get("log_evidence_tempered") is not None:
+        if fit.get("log_evidence_check") is not None:
             own, check = (
-                format_estimate(fit[f"log_evidence{by}"], fit[f"log_evidence{by}_se"], 3) for by in ("", "_tempered")
+                format_estimate(fit[f"log_evidence{by}"], fit[f"log_evidence{by}_se"], 3) for by in ("", "_check")
             )
-            print_text(console, f"checked {name}: log-evidence {own}, by tempering {check}")
+            print_text(console, f"checked {name}: log-evidence {own}, by another sampler {check}")
         if several := say_solutions(fit):
             print_text(console, f"{name}: {several}")
         if fit["problems"]:
@@ -93,7 +88,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
 def _format_errors(errors: Mapping[str, Any] | None) -> str:
     """Return mean and largest position error; a dash of a variant whose poses no instrument saw."""
     if not errors:
-        return NOTHING
+        return NO_VALUE
     sizes = (errors["position_error_mm"][which] for which in ("mean", "max"))
     return " / ".join(format_fixed(None if one is None else MICROMETRES * one, 1) for one in sizes) + " µm"
 

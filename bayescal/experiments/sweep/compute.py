@@ -5,26 +5,29 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Failed, Run
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.frame.store import open_pool
+from bayescal.experiments.runner.parallel import Failed, Run
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.store import open_pool
 from bayescal.experiments.sweep.inputs import Outcome, Setting, SweepInputs, compute_member, list_keys, look_up
+from bayescal.experiments.sweep.rows import Extent, SweepAnswerRow, SweepMemberRow
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, FigureConfig, SweepConfig
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_plain
 
 DONE, UNSURE, FAILED = "done", "not converged", "failed"
-COLUMNS = ("figure", "axis", "where", "holds", "bound", "inside", "outside")
-NUMBERS = dict.fromkeys(("bound", "inside", "outside"), float)
-ALWAYS, NEVER, UP_TO, FROM, MIXED = "everywhere", "nowhere", "up to", "from", "in places"
+ALWAYS: Final = "everywhere"
+NEVER: Final = "nowhere"
+UP_TO: Final = "up to"
+FROM: Final = "from"
+MIXED: Final = "in places"
 
 
 def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
@@ -40,8 +43,10 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
             rows[address] = _read_row(config, Outcome.of(str(error)))
         taken.append(values)
         addresses.append(address)
-    if run.store is not None and config.cache:  # members are kept beside the results directory, for other sweeps too
-        run = replace(run, store=open_pool(run.store.out.resolve().parent / config.cache))
+    if (
+        run.store is not None and config.cache_dir
+    ):  # members are kept beside the results directory, for other sweeps too
+        run = replace(run, store=open_pool(run.store.out.resolve().parent / config.cache_dir))
     is_told = False
     for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):
         known = Outcome.of(outcome.reason) if isinstance(outcome, Failed) else outcome
@@ -53,7 +58,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     answers = find_answers(config, members)
     return Results(
         _summarise(config, members, len(set(addresses)), answers),
-        {"members": members, "answers": pd.DataFrame(answers, columns=list(COLUMNS)).astype(NUMBERS)},
+        {"members": members, "answers": SweepAnswerRow.collect(answers)},
     )
 
 
@@ -86,7 +91,8 @@ def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list
             found[name] = pd.Series([float("nan") if value is None else float(value) for value in values], dtype=float)
         else:  # texts where not all are numbers
             found[name] = pd.Series(["" if value is None else str(value) for value in values], dtype=object)
-    return pd.DataFrame(found)
+    state, reason = found.pop("state"), found.pop("reason")
+    return SweepMemberRow.tabulate(found, state=state, reason=reason)
 
 
 def _show(value: Any) -> Any:
@@ -97,14 +103,14 @@ def _show(value: Any) -> Any:
 
 
 def _summarise(
-    config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[dict[str, Any]]
+    config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[SweepAnswerRow]
 ) -> dict[str, Any]:
     figures = {}
     for figure in config.figures:
         column = members[figure.key]
         is_number = column.dtype.kind == "f"
         known = column.dropna() if is_number else column[column != ""]
-        spread = {"least": float(known.min()), "most": float(known.max())} if is_number and len(known) else {}
+        spread = {"min": float(known.min()), "max": float(known.max())} if is_number and len(known) else {}
         figures[figure.key] = {"n_known": len(known), **spread}
     states = members["state"]
     return {
@@ -116,7 +122,7 @@ def _summarise(
         "n_failed": int((states == FAILED).sum()),
         "n_not_converged": int((states == UNSURE).sum()),
         "figures": figures,
-        "answers": answers,
+        "answers": [asdict(one) for one in answers],
     }
 
 
@@ -132,28 +138,35 @@ def is_scale(axis: AxisConfig, column: pd.Series) -> bool:
     return axis.name != SEED and column.dtype.kind == "f" and column.nunique() >= 2
 
 
-def find_answers(config: SweepConfig, members: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return, for every figure of which something is required and every axis of numbers, where it holds.
+def find_answers(config: SweepConfig, members: pd.DataFrame) -> list[SweepAnswerRow]:
+    """Return, for every figure of which something is required and every axis of numbers, where it is met.
 
-    ``bound`` is interpolated between the neighbours ``inside`` and ``outside``, on the scales of axis and figure.
+    Bounds are interpolated between their neighbours, on the scales of axis and figure.
     """
-    found = []
+    found = list[SweepAnswerRow]()
     for figure in config.figures:
         if figure.limit is None or members[figure.key].dtype.kind != "f":
             continue
         for axis in config.axes:
             if not is_scale(axis, members[axis.name]):
                 continue
-            for where, rows in group_others(config, members, axis):
-                answer = _find_one(axis, figure, rows)
-                found.append({"figure": figure.key, "axis": axis.name, "where": where, **answer})
+            for setting, rows in group_others(config, members, axis):
+                extent, *bounds = _find_one(axis, figure, rows)
+                row = SweepAnswerRow(
+                    figure=figure.key,
+                    axis=axis.name,
+                    setting=setting,
+                    extent=extent,
+                    **dict(zip(("bound", "met_at", "failed_at"), bounds, strict=True)),
+                )
+                found.append(row)
     return found
 
 
 def group_others(config: SweepConfig, members: pd.DataFrame, axis: AxisConfig) -> Iterator[tuple[str, pd.DataFrame]]:
     """Yield the members of each setting of all other axes but seeds, with it in words; all where rows are a list."""
     others = [one for one in config.axes if one.name not in (axis.name, SEED)]
-    if not others or config.combine == "list":
+    if not others or config.mode == "zip":
         yield "", members
         return
     names = [one.label or one.name.rpartition(".")[2].replace("_", " ") for one in others]
@@ -167,8 +180,8 @@ def _show_setting(value: Any, axis: AxisConfig) -> str:
     return f"{text} {axis.unit if axis.factors is None else 'times'}".rstrip()
 
 
-def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dict[str, Any]:
-    """Return where along an axis a figure keeps its requirement; of repeats the worst counts."""
+def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> tuple[Extent, float, float, float]:
+    """Return where along an axis a figure meets its requirement: extent, bound and neighbours; the worst of repeats."""
     known = rows[np.isfinite(rows[figure.key])]
     repeats = known.groupby(axis.name)[figure.key]
     worst = repeats.max() if figure.at_most is not None else repeats.min()
@@ -177,17 +190,16 @@ def _find_one(axis: AxisConfig, figure: FigureConfig, rows: pd.DataFrame) -> dic
     assert limit is not None
     good = y <= limit if figure.at_most is not None else y >= limit
     changes = np.flatnonzero(good[1:] != good[:-1])
-    nothing = {"bound": None, "inside": None, "outside": None}
     if len(x) == 0 or not good.any():
-        return {"holds": NEVER, **nothing}
+        return NEVER, math.nan, math.nan, math.nan
     if good.all():
-        return {"holds": ALWAYS, **nothing}
+        return ALWAYS, math.nan, math.nan, math.nan
     if len(changes) > 1:
-        return {"holds": MIXED, **nothing}
+        return MIXED, math.nan, math.nan, math.nan
     k = int(changes[0])
     bound = _interpolate(x[k : k + 2], y[k : k + 2], limit, axis.scale == "log", figure.scale == "log")
     inside, outside = (x[k], x[k + 1]) if good[k] else (x[k + 1], x[k])
-    return {"holds": UP_TO if good[k] else FROM, "bound": bound, "inside": float(inside), "outside": float(outside)}
+    return UP_TO if good[k] else FROM, bound, float(inside), float(outside)
 
 
 def _interpolate(x: Array, y: Array, limit: float, log_x: bool, log_y: bool) -> float:

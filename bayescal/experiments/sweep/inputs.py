@@ -1,7 +1,6 @@
 """From a sweep's config to its members: what varies, checked one setting at a time, and what the members read.
 
-A member is computed wherever a worker is, which need not see the sweep's folder: what members read is sent, and laid
-out in a folder of its own there.
+A member is computed wherever a worker is, which need not see the sweep's folder: the files that members read are sent.
 """
 
 from __future__ import annotations
@@ -11,15 +10,11 @@ import hashlib
 import itertools
 import json
 import os
-import shutil
-import tempfile
 import tomllib
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +25,12 @@ from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import permit, vouch
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.load import AnyExperiment, find_kind, read_inputs
-from bayescal.experiments.frame.memory import Need, check_memory
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.identity import hash_identity, identify
+from bayescal.experiments.runner.load import AnyExperiment, find_kind, read_inputs
+from bayescal.experiments.runner.memory import MemoryEstimate, check_memory
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
+from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
 
 type Setting = tuple[str, str, Any]
@@ -42,11 +38,9 @@ type Setting = tuple[str, str, Any]
 
 type Files = dict[str, bytes]
 
-_laid_out: dict[str, Path] = {}
-
 
 @dataclass(frozen=True)
-class Base:
+class BaseExperiment:
     """The experiment that members vary."""
 
     name: str  # of its file
@@ -54,6 +48,16 @@ class Base:
     text: str  # of the file
     content: dict[str, Any]  # of the file and what it extends, with the sweep's seed
     files: Files  # all that members read, by names relative to the folder
+
+    @cached_property
+    def folder(self) -> MemoryPath:
+        """All that members read that do not vary their files."""
+        return self.lay_out({})
+
+    def lay_out(self, changed: Files) -> MemoryPath:
+        """Return all that members read, some files otherwise than they stand."""
+        files = {**self.files, **changed}
+        return MemoryPath(files={os.path.normpath(name): content for name, content in files.items()})
 
     def list_code(self) -> Files:
         """Return the files among all that are code."""
@@ -99,68 +103,30 @@ class Outcome:
         return found
 
 
-def compute_member(base: Base, settings: tuple[Setting, ...]) -> Outcome:
+def compute_member(base: BaseExperiment, settings: tuple[Setting, ...]) -> Outcome:
     """Return a member's summary, or why there is none."""
     vouch(base.list_code().values())  # read and trusted before members were handed to this process
-    with _go_to(base, settings) as folder:
-        try:
-            experiment = _find_kind(base.kind, folder)
-            config = base.vary(settings, experiment, folder)
-            inputs = read_inputs(experiment, config, folder)
-            check_memory(experiment.estimate_memory(inputs), 1)
-            results = experiment.compute(inputs, Run())
-            return Outcome.of("; ".join(experiment.list_failures(results)), results.summary)
-        except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
-            raise NumericalError("found no memory for it") from error
-        except Exception as error:  # whatever it is, the other members go on, and it is listed
-            known = isinstance(
-                error, InputError | NumericalError | ArithmeticError | ValueError
-            )  # LAPACK's are the last
-            said = " ".join(str(error).split()).replace(f"{folder}{os.sep}", "")
-            return Outcome.of(said if known and said else f"{type(error).__name__}: {said}")
+    changed = base.vary_files(settings)
+    folder = base.folder if not changed else base.lay_out(changed)
+    try:
+        experiment = _find_kind(base.kind, folder)
+        config = base.vary(settings, experiment, folder)
+        inputs = read_inputs(experiment, config, folder)
+        check_memory(experiment.estimate_memory(inputs), 1)
+        results = experiment.compute(inputs, Run())
+        return Outcome.of("; ".join(experiment.list_failures(results)), results.summary)
+    except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
+        raise NumericalError("found no memory for it") from error
+    except Exception as error:  # whatever it is, the other members go on, and it is listed
+        known = isinstance(error, InputError | NumericalError | ArithmeticError | ValueError)  # LAPACK's are the last
+        said = " ".join(str(error).split())
+        return Outcome.of(said if known and said else f"{type(error).__name__}: {said}")
 
 
 @lru_cache(maxsize=4)
 def _find_kind(kind: str, folder: Path) -> AnyExperiment:
-    """Return a kind; the folder's name stands for its content, so that its files are looked through once."""
+    """Return a kind; the files of a folder are looked through once."""
     return find_kind(kind, folder, folder)
-
-
-@contextmanager
-def _go_to(base: Base, settings: tuple[Setting, ...]) -> Iterator[Path]:
-    """Hold a folder with the files of a member: one of its own where these vary."""
-    changed = base.vary_files(settings)
-    if not changed:
-        yield _lay_out_once(base.files)
-        return
-    with tempfile.TemporaryDirectory(prefix="bayescal_") as root:
-        yield lay_out({**base.files, **changed}, Path(root))
-
-
-def _lay_out_once(files: Files) -> Path:
-    """Return a folder with files, the same as long as this process lives."""
-    whole = hashlib.sha256()
-    for name, text in sorted(files.items()):
-        whole.update(f"{name} {len(text)} ".encode() + text)
-    content = whole.hexdigest()
-    if content not in _laid_out:
-        root = tempfile.mkdtemp(prefix="bayescal_")
-        Finalize(None, shutil.rmtree, (root, True), exitpriority=0)  # at the end of a worker process, too
-        _laid_out[content] = lay_out(files, Path(root))
-    return _laid_out[content]
-
-
-def lay_out(files: Mapping[str, bytes], root: Path) -> Path:
-    """Write files below a root, so deep that names which lead upwards stay inside; return where names start."""
-    names = {os.path.normpath(name): content for name, content in files.items()}
-    depth = max((Path(name).parts.count(os.pardir) for name in names), default=0)
-    folder = root.resolve().joinpath(*["in"] * depth)
-    for name, content in names.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def split_key(key: str) -> tuple[str, str]:
@@ -239,17 +205,17 @@ class SweepInputs:
 
     config: SweepConfig
     folder: Path
-    base: Base
+    base: BaseExperiment
     experiment: AnyExperiment  # its kind
     sources: tuple[str, ...]  # files of the kind, where it is none of an installed package
     modules: dict[str, str]  # SHA-256 of the modules that somebody else's classes stand in
     extended: dict[str, tuple[str, ...]]  # each input file with those that it extends
-    need: Need  # memory that a member takes, as the experiment stands
+    need: MemoryEstimate  # memory that a member takes, as the experiment stands
 
     def list_members(self) -> Iterator[tuple[tuple[Any, ...], tuple[Setting, ...]]]:
         """Yield what each axis takes and what that sets, member by member; the last axis is the fastest."""
         axes = [list(zip(axis.settings, _list_settings(axis, self.base), strict=True)) for axis in self.config.axes]
-        rows = itertools.product(*axes) if self.config.combine == "grid" else zip(*axes, strict=True)
+        rows = itertools.product(*axes) if self.config.mode == "grid" else zip(*axes, strict=True)
         for row in rows:
             yield tuple(taken for taken, _ in row), tuple(one for _, settings in row for one in settings)
 
@@ -290,7 +256,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
         modules |= experiment.modules(found, folder)
     extended = {name: _list_extended(name, folder) for name in sorted(files)}
     contents = {name: _read_file(folder / name) for names in extended.values() for name in names}
-    whole = Base(base.name, base.kind, base.text, base.content, {**base.files, **contents})
+    whole = BaseExperiment(base.name, base.kind, base.text, base.content, {**base.files, **contents})
     for name, code in whole.list_code().items():  # whatever members make of it
         permit({(folder / name).resolve(): code}, (folder / name).parent)
     for axis in config.axes:
@@ -300,7 +266,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     return SweepInputs(config, folder, whole, experiment, tuple(sources), modules, extended, need)
 
 
-def _read_base(config: SweepConfig, folder: Path) -> Base:
+def _read_base(config: SweepConfig, folder: Path) -> BaseExperiment:
     """Return the experiment, with the files that its axes' keys stand in."""
     path = folder / config.experiment
     content, text = read_extended(path)
@@ -309,10 +275,12 @@ def _read_base(config: SweepConfig, folder: Path) -> Base:
         raise InputError(f"{path}: kind: found {kind!r}, expected an experiment that is no sweep")
     files = {file for axis in config.axes for file, _ in map(split_key, axis.keys) if file}
     contents = {name: _read_file(folder / name) for name in sorted({config.experiment, *files})}
-    return Base(config.experiment, kind, text, {**merge(content, config.set), SEED: config.seed}, contents)
+    return BaseExperiment(
+        config.experiment, kind, text, {**merge(content, config.overrides), SEED: config.seed}, contents
+    )
 
 
-def _list_settings(axis: AxisConfig, base: Base) -> list[tuple[Setting, ...]]:
+def _list_settings(axis: AxisConfig, base: BaseExperiment) -> list[tuple[Setting, ...]]:
     """Return what each entry of an axis sets."""
     places = [split_key(key) for key in axis.keys]
     if axis.factors is None:

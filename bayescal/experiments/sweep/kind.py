@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayescal.experiments.frame.experiment import Experiment
-from bayescal.experiments.frame.memory import Need
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.experiment import Experiment
+from bayescal.experiments.runner.memory import MemoryEstimate
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.sweep.compute import compute_sweep, list_missing
 from bayescal.experiments.sweep.inputs import SweepInputs, list_files, read_sweep
 from bayescal.experiments.sweep.page import build_page
+from bayescal.experiments.sweep.rows import ROWS
 from bayescal.experiments.sweep.schema import SweepConfig
 from bayescal.report.blocks import Page
 
@@ -19,6 +20,7 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
     """Many experiments of one kind that differ in some keys."""
 
     schema = SweepConfig
+    rows = ROWS
     _last: tuple[SweepConfig, Path, SweepInputs] | None = None
     """What was read last: files and modules are asked for after the inputs, and every axis is checked in reading."""
 
@@ -36,7 +38,7 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
             self._last = (config, folder, read_sweep(config, folder))
         return self._last[2]
 
-    def estimate_memory(self, inputs: SweepInputs) -> Need:
+    def estimate_memory(self, inputs: SweepInputs) -> MemoryEstimate:
         """Return what a member takes, as the experiment stands; each is judged by itself before it is computed."""
         return inputs.need
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+import math
+from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,23 +14,27 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.shared.headline import write_headline
 from bayescal.experiments.sweep.compute import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale, list_missing
+from bayescal.experiments.sweep.rows import ROWS, SweepAnswerRow, SweepMemberRow
 from bayescal.experiments.sweep.schema import AxisConfig, FigureConfig, SweepConfig
+from bayescal.files.rows import check_tables
 from bayescal.report.blocks import (
     Block,
     Cell,
     Column,
     Figure,
     Fold,
+    KeyFigure,
     Level,
     Page,
-    Section,
+    PageSection,
     Statement,
     make_section,
     make_table,
 )
-from bayescal.report.numbers import NOTHING, format_count, format_plain, format_power, join_words
+from bayescal.report.numbers import NO_VALUE, capitalise, format_count, format_plain, format_power
 from bayescal.report.style import INK, LEG_COLOURS, MARKERS, RED
 
 MOST_PICTURES = 24
@@ -41,78 +47,99 @@ MOST_TICKS = 9
 
 def build_page(config: SweepConfig, results: Results) -> Page:
     """Return the page of a sweep's tables."""
-    members, answers, summary = results.table("members"), results.table("answers"), results.summary
+    check_tables(ROWS, results.tables, results.folder or Path())
+    members, answers, summary = results.table("members"), SweepAnswerRow.read(results.table("answers")), results.summary
     axes, figures = {axis.name: axis for axis in config.axes}, {figure.key: figure for figure in config.figures}
-    pairs = answers.groupby(["figure", "axis"], sort=False)
-    said = [_say(rows.to_dict("records"), axes, figures) for _, rows in pairs]
+    said = [_state_answer(row, axes, figures) for row in answers]
     verdict = (*said[:MOST_SAID], *_state_members(summary))
     sections = (
+        make_section("Figures", (), (), tuple(_list_pictures(config, members))),
         *_answer_section(answers, axes, figures),
-        make_section("Figures against what was swept", (), (), tuple(_list_pictures(config, members))),
         *_failed_section(config, members),
         _member_section(config, members),
     )
     facts = (("Experiment", summary["experiment"]), *((name_axis(axis), _span(axis)) for axis in config.axes))
-    origin = f"Members are as {summary['experiment']} makes them, but for the keys that vary."
-    headline = f"{said[0].lead} {said[0].text}" if said else _capital(_state_span(config.figures[0], summary))
-    return Page("Sweep", config.name, config.title, origin, headline, verdict, sections, facts)
+    origin = f"Base config {summary['experiment']}; only the listed keys vary."
+    first = f"{said[0].lead}: {said[0].text}" if said else _state_span(config.figures[0], summary)
+    return Page(
+        "Sweep",
+        config.name,
+        config.title,
+        origin,
+        write_headline([first]),
+        verdict,
+        sections,
+        facts,
+        key_figures=_list_key_figures(config, answers, summary),
+    )
+
+
+def _list_key_figures(
+    config: SweepConfig, answers: list[SweepAnswerRow], summary: dict[str, Any]
+) -> tuple[KeyFigure, ...]:
+    """Return how many members there are, failed and are required values, and the range of the first figure."""
+    n, failed, figure = summary["n_members"], summary["n_failed"], config.figures[0]
+    found, unsure = summary["figures"][figure.key], summary["n_not_converged"]
+    kept = sum(row.extent != NEVER for row in answers)
+    span = f"{format_power(found['min'], 3)} to {format_power(found['max'], 3)}" if "min" in found else NO_VALUE
+    several = [
+        KeyFigure("Members", format_count(n)),
+        KeyFigure("Failed", format_count(failed), "", "bad" if failed == n else "warning" if failed else "good"),
+        KeyFigure("Not converged", format_count(unsure), "", "warning" if unsure else "good"),
+        KeyFigure(capitalise(figure.title), span, figure.unit),
+    ]
+    if answers:
+        level: Level = "good" if kept == len(answers) else "warning" if kept else "bad"
+        several.append(KeyFigure("Requirements kept somewhere", f"{kept} of {len(answers)}", "", level))
+    return tuple(several)
 
 
 # --- in words ----------------------------------------------------------------------------------------------------
 
 
-def _say(rows: list[dict[Hashable, Any]], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
-    """Return where along an axis a figure keeps what is required of it, for each setting of the other axes."""
-    figure, axis = figures[rows[0]["figure"]], axes[rows[0]["axis"]]
-    places: dict[str, list[str]] = {}
-    for row in rows:
-        places.setdefault(_place(row, axis), []).append(row["where"])
-    words = [place + (f" with {join_words(where, 'or')}" if any(where) else "") for place, where in places.items()]
-    text = f"{_limit(figure)} is kept {'; '.join(words)}."
-    holds = {row["holds"] for row in rows}
-    level: Level = "bad" if holds == {NEVER} else "warning" if MIXED in holds else "good"
-    return Statement(text, level, _capital(figure.title))
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _state_answer(row: SweepAnswerRow, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]) -> Statement:
+    """Return where along an axis a figure keeps what is required of it, at a setting of the other axes."""
+    figure, axis = figures[row.figure], axes[row.axis]
+    where = f" with {row.setting}" if row.setting else ""
+    text = f"{_limit(figure)} met {_place(row, axis)}{where}."
+    unit = axis.unit if axis.factors is None else "times"
+    value = row.bound if row.extent in (UP_TO, FROM) else math.nan
+    return Statement(text, LEVELS[row.extent], capitalise(figure.title), value=value, unit=unit)
 
 
 def _limit(figure: FigureConfig) -> str:
     return f"{figure.side} {format_plain(figure.limit or 0.0)} {figure.unit}".rstrip()
 
 
-def _place(row: Mapping[Any, Any], axis: AxisConfig) -> str:
+def _place(row: SweepAnswerRow, axis: AxisConfig) -> str:
     name = axis.title
-    if row["holds"] in (ALWAYS, NEVER):
-        return f"{row['holds']} along {name}"
-    if row["holds"] == MIXED:
-        return f"in places along {name}, not on one side of a bound"
+    if row.extent in (ALWAYS, NEVER):
+        return f"{row.extent} along {name}"
+    if row.extent == MIXED:
+        return f"in places along {name}"
     unit = f" {axis.unit}" if axis.unit and axis.factors is None else " times" if axis.factors is not None else ""
-    return f"{row['holds']} {name} {format_plain(row['bound'], 3)}{unit}"
+    return f"{row.extent} {name} {format_plain(row.bound, 3)}{unit}"
 
 
 def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
     found = summary["figures"][figure.key]
-    if "least" not in found:
-        return f"{format_count(summary['n_members'])} members; {figure.title} is a number in none."
+    if "min" not in found:
+        return f"No results for {figure.title} in {format_count(summary['n_members'])} members"
     return (
-        f"Over {format_count(summary['n_members'])} members {figure.title} runs from "
-        f"{format_power(found['least'], 3)} to {format_power(found['most'], 3)} {figure.unit}".rstrip()
-        + "."
+        f"{capitalise(figure.title)} from {format_power(found['min'], 3)} to {format_power(found['max'], 3)} "
+        f"{figure.unit}".rstrip()
     )
 
 
 def _state_members(summary: dict[str, Any]) -> Iterator[Statement]:
     """Yield what became of the members, and figures that no summary has."""
     n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
-    text = f"{format_count(n)} members, {format_count(summary['n_distinct'])} of them different"
-    text += f"; {format_count(failed)} failed" if failed else "; none failed"
-    text += f", {format_count(unsure)} did not converge" if unsure else ""
+    text = f"{format_count(n)} members ({format_count(summary['n_distinct'])} distinct): {format_count(failed)} failed"
+    text += f", {format_count(unsure)} did not converge."
     level: Level = "bad" if failed == n else "warning" if failed or unsure else "plain"
-    yield Statement(f"{text}.", level, "Members")
+    yield Statement(text, level, "Members", value=failed + unsure, limit=0.0)
     for key in list_missing(summary):
-        yield Statement(f"No member's summary has anything at {key}.", "bad", "Missing")
+        yield Statement(f"No results for {key}.", "bad", "Missing")
 
 
 def _span(axis: AxisConfig) -> str:
@@ -126,24 +153,24 @@ def _span(axis: AxisConfig) -> str:
 
 
 def _answer_section(
-    answers: pd.DataFrame, axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
-) -> Iterator[Section]:
-    if answers.empty:
+    answers: list[SweepAnswerRow], axes: dict[str, AxisConfig], figures: dict[str, FigureConfig]
+) -> Iterator[PageSection]:
+    if not answers:
         return
-    columns = [Column(title, kind="text") for title in ("Required", "Along", "With", "Holds")]
-    columns += [Column(title) for title in ("Bound", "Still", "No more")]
-    rows = [
+    columns = [Column(title, kind="text") for title in ("Required", "Along", "With", "Met")]
+    columns += [Column(title) for title in ("Bound", "Met at", "Not met at")]
+    rows: list[list[str | Cell]] = [
         [
-            f"{figures[row['figure']].title} {_limit(figures[row['figure']])}",
-            name_axis(axes[row["axis"]]),
-            row["where"] or NOTHING,
-            Cell(row["holds"], LEVELS[row["holds"]]),
-            *(_number(row[name], 3 if name == "bound" else 4) for name in ("bound", "inside", "outside")),
+            f"{figures[row.figure].title} {_limit(figures[row.figure])}",
+            name_axis(axes[row.axis]),
+            row.setting or NO_VALUE,
+            Cell(row.extent, LEVELS[row.extent]),
+            *(_number(row.bound, 3), _number(row.met_at, 4), _number(row.failed_at, 4)),
         ]
-        for row in answers.to_dict("records")
+        for row in answers
     ]
-    table = make_table("Where requirements hold; bounds are interpolated between neighbours.", columns, rows)
-    yield make_section("How good it must be", (), (table,))
+    table = make_table("Where requirements are met; bounds are interpolated between neighbours.", columns, rows)
+    yield make_section("Required values", (), (table,))
 
 
 def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figure]:
@@ -159,30 +186,33 @@ def _list_pictures(config: SweepConfig, members: pd.DataFrame) -> Iterator[Figur
         if members[figure.key].notna().any():
             yield Figure(name, caption, partial(draw_against, config, members, figure, axis))
         else:
-            yield Figure(name, caption, None, "no member's summary has a number there")
+            yield Figure(name, caption, None, "no results")
 
 
-def _failed_section(config: SweepConfig, members: pd.DataFrame) -> Iterator[Section]:
+def _failed_section(config: SweepConfig, members: pd.DataFrame) -> Iterator[PageSection]:
     bad = members[members["reason"] != ""]
     if bad.empty:
         return
     columns = [*(Column(name_axis(axis), kind="text") for axis in config.axes), *_texts("State", "Reason")]
-    rows = [
-        [*(_cell(row[axis.name]) for axis in config.axes), row["state"], row["reason"]]
-        for row in bad.head(MOST_ROWS).to_dict("records")
+    rows: list[list[str]] = [
+        [*(_cell(row.others[axis.name]) for axis in config.axes), row.state, row.reason]
+        for row in SweepMemberRow.read(bad.head(MOST_ROWS))
     ]
     yield make_section(
-        "Members to be wary of", (), (make_table(_head("They failed, or did not converge", bad), columns, rows),)
+        "Failed members", (), (make_table(_head("They failed, or did not converge", bad), columns, rows),)
     )
 
 
-def _member_section(config: SweepConfig, members: pd.DataFrame) -> Section:
+def _member_section(config: SweepConfig, members: pd.DataFrame) -> PageSection:
     names = [*(axis.name for axis in config.axes), *(figure.key for figure in config.figures)]
     columns = [Column(title) for title in (*map(name_axis, config.axes), *map(name_figure, config.figures))]
-    rows = [[*(_cell(row[name]) for name in names), row["state"]] for row in members.head(MOST_ROWS).to_dict("records")]
+    rows = [
+        [*(_cell(row.others[name]) for name in names), row.state]
+        for row in SweepMemberRow.read(members.head(MOST_ROWS))
+    ]
     table = make_table(_head("Every member", members), [*columns, *_texts("State")], rows, style="wide")
     blocks: tuple[Block, ...] = (Fold(f"{format_count(len(members))} members", (table,)),)
-    return Section("Members", blocks)
+    return PageSection("Runs", blocks)
 
 
 def _texts(*titles: str) -> list[Column]:
@@ -194,11 +224,11 @@ def _head(caption: str, rows: pd.DataFrame) -> str:
 
 
 def _cell(value: Any) -> str:
-    return _number(value, 4) if isinstance(value, float) else str(value) or NOTHING
+    return _number(value, 4) if isinstance(value, float) else str(value) or NO_VALUE
 
 
 def _number(value: float, digits: int) -> str:
-    return NOTHING if value != value else format_plain(value, digits)
+    return NO_VALUE if value != value else format_plain(value, digits)
 
 
 def name_axis(axis: AxisConfig) -> str:

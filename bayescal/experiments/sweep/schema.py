@@ -33,22 +33,22 @@ class AxisConfig(Section):
     """Values that it takes."""
     factors: Annotated[list[Positive], Field(min_length=1)] | None = None
     """Factors on what the files say [1]."""
-    between: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
+    range: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
     """Smallest and largest value, with `count` [unit of the key]."""
     count: Annotated[int, Field(ge=2, le=MAX_MEMBERS)] | None = None
-    """How many values there are between."""
+    """How many values there are in the range."""
     scale: Scale = "linear"
     """Whether they are spread on a `linear` or a `log` scale, and drawn so."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        given = [name for name in ("values", "factors", "between") if getattr(self, name) is not None]
+        given = [name for name in ("values", "factors", "range") if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError(f"found {' and '.join(given) or 'none'}, expected one of values, factors and between")
-        if (self.count is None) != (self.between is None):
-            raise ValueError("found one of between and count, expected both or none")
-        if self.between is not None and self.scale == "log" and min(self.between) <= 0.0:
-            raise ValueError(f"found between {self.between} on a log scale, expected positive numbers")
+            raise ValueError(f"found {' and '.join(given) or 'none'}, expected one of values, factors and range")
+        if (self.count is None) != (self.range is None):
+            raise ValueError("found one of range and count, expected both or none")
+        if self.range is not None and self.scale == "log" and min(self.range) <= 0.0:
+            raise ValueError(f"found range {self.range} on a log scale, expected positive numbers")
         return self
 
     @property
@@ -69,9 +69,9 @@ class AxisConfig(Section):
     @property
     def settings(self) -> list[Any]:
         """What the axis takes, factors where it has these."""
-        if self.between is not None and self.count is not None:
+        if self.range is not None and self.count is not None:
             space: Any = np.geomspace if self.scale == "log" else np.linspace
-            return [float(f"{value:.6g}") for value in space(self.between[0], self.between[1], self.count)]
+            return [float(f"{value:.6g}") for value in space(self.range[0], self.range[1], self.count)]
         return list(self.values if self.values is not None else self.factors or [])
 
 
@@ -120,15 +120,15 @@ class SweepConfig(ExperimentConfig):
     """`"sweep"`."""
     experiment: InputFile
     """TOML file of the experiment that is varied."""
-    set: dict[str, Any] = Field(default={})
+    overrides: dict[str, Any] = Field(default={})
     """Keys that are filled into the experiment for all members, as a config is that extends another."""
-    combine: Literal["grid", "list"] = "grid"
-    """Every combination of the axes (`grid`), or their entries row by row (`list`)."""
+    mode: Literal["grid", "zip"] = "grid"
+    """Every combination of the axes (`grid`), or their entries row by row (`zip`)."""
     axes: Annotated[list[AxisConfig], Field(min_length=1)]
     """Keys that vary."""
     figures: Annotated[list[FigureConfig], Field(min_length=1)]
     """Figures of the summary that are kept."""
-    cache: Annotated[str, Field(pattern=r"^(\.?[A-Za-z0-9_-][A-Za-z0-9_.-]*)?$")] = ".bayescal_members"
+    cache_dir: Annotated[str, Field(pattern=r"^(\.?[A-Za-z0-9_-][A-Za-z0-9_.-]*)?$")] = ".bayescal_members"
     """Folder beside the results directory that members are kept in for other sweeps; none where it is empty."""
 
     @model_validator(mode="after")
@@ -138,8 +138,8 @@ class SweepConfig(ExperimentConfig):
             if names.count(name) > 1:
                 raise ValueError(f"found {name!r} twice among the axes' first keys and the figures, expected it once")
         counts = [len(axis.settings) for axis in self.axes]
-        if self.combine == "list" and len(set(counts)) > 1:
+        if self.mode == "zip" and len(set(counts)) > 1:
             raise ValueError(f"found axes of {counts} entries to combine row by row, expected as many of each")
-        if self.combine == "grid" and (n := int(np.prod(counts, dtype=object))) > MAX_MEMBERS:
+        if self.mode == "grid" and (n := int(np.prod(counts, dtype=object))) > MAX_MEMBERS:
             raise ValueError(f"found {n} combinations, expected at most {MAX_MEMBERS}")
         return self

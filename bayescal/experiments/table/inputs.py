@@ -15,7 +15,8 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.elimination import RANK
 from bayescal.errors import InputError, name_faults
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.shared.measured import choose_variant
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, read_inputs
 from bayescal.experiments.shared.readings.knowledge import look
 from bayescal.experiments.shared.slip_search import find_slip
@@ -52,7 +53,7 @@ class TableInputs:
     @cached_property
     def slip(self) -> FoundSlip | None:
         """What may have happened to readings that no machine within its priors comes near, looked for once."""
-        return find_slip([self.variant.list_readings()], self.study.config.denied_slips)
+        return find_slip([self.variant.list_readings()], self.study.config.ignored_data_errors)
 
     @cached_property
     def actuators(self) -> ReadingModel:
@@ -102,11 +103,7 @@ def _read_study(config: TableConfig, path: Path) -> ReadingInputs:
             f"{path}: data: found an instrument's poses of legs, which depend on nothing but the pose: all places have "
             "one correction, expected tables of readings"
         )
-    names = [one.name for one in found.variants]
-    name = config.variant or (names[0] if len(names) == 1 else "")
-    if name not in names:
-        raise InputError(f"{path}: variant: found {name or 'none'!r}, expected one of {', '.join(names)}")
-    return read_inputs(found, path.parent, [name])
+    return read_inputs(found, path.parent, [choose_variant(config.variant, found, path)])
 
 
 def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
@@ -303,7 +300,7 @@ def plan_measurements(inputs: TableInputs, posterior: CalibrationPosterior, y: A
     asked, rng, model = inputs.config.plan, np.random.default_rng([inputs.config.seed, 21]), inputs.variant.model
     slopes = differentiate_correction(inputs, posterior.theta(y[None])[0], posterior.around(y)[1].T)
     flat = slopes.reshape(-1, slopes.shape[-1])
-    start = covariance if asked.beside_data else np.eye(len(covariance))
+    start = covariance if asked.include_existing_data else np.eye(len(covariance))
     cell = np.repeat(inputs.cells, asked.poses, axis=0)
     pose = inputs.variant.workspace.draw(len(cell), rng)
     read = model.read(inputs.variant.posterior().first_machine, pose, inputs.given_at(cell))

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from bayescal.experiments.frame.memory import Need, estimate_arrays
-from bayescal.experiments.frame.results import Results
-from bayescal.experiments.shared.of_another import OfAnother
+from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.shared.derived import DerivedExperiment
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling, list_variant
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.page import build_page
+from bayescal.experiments.table.rows import ROWS
 from bayescal.experiments.table.schema import TableConfig
 
 RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
 """Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
 
 
-class LookUpTable(OfAnother[TableConfig, TableInputs]):
+class LookUpTable(DerivedExperiment[TableConfig, TableInputs]):
     """What actuators have to do by elevation, temperature and the like."""
 
     schema = TableConfig
+    rows = ROWS
     read = staticmethod(read_table)
     compute = staticmethod(compute_table)
     page = staticmethod(build_page)
 
-    def estimate_memory(self, inputs: TableInputs) -> Need:
+    def estimate_memory(self, inputs: TableInputs) -> MemoryEstimate:
         """Return what every draw does at every place of the table, and what its study takes."""
         variant, config = inputs.variant, inputs.study.config
         n_places, n_parameters = len(inputs.cells), len(variant.priors)
@@ -42,7 +44,7 @@ class LookUpTable(OfAnother[TableConfig, TableInputs]):
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that the study's data seem to be wrong."""
-        return ["the study's data seem to be wrong"] if results.summary.get("slip") else []
+        return ["the study's data seem to be wrong"] if results.summary.get("suspected_data_error") else []
 
     def suspect(self, inputs: TableInputs) -> list[str]:
         """Return what seems to have happened to readings that one slip explains far better than errors do."""

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
-from bayescal.experiments.frame.results import Results, list_rows
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.headline import say_data_first, write_headline
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
+from bayescal.experiments.table.rows import ROWS, CorrectionRow, PlanRow, PolynomialTermRow
+from bayescal.files.rows import check_tables
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 from bayescal.report.blocks import (
     Cell,
     Column,
     Figure,
+    KeyFigure,
+    Level,
     Page,
-    Section,
+    PageSection,
     Statement,
     Table,
     make_section,
@@ -32,13 +38,14 @@ from bayescal.report.symbols import quote
 SHOWN = {"mm": (1.0 / MICROMETRE, "µm"), "rad": (1.0 / ARCSECOND, "arcsec")}
 MARKS = {"deg": "°", "c": " °C"}
 CURVES = 3
-SMALL = 0.1  # of the table's own error, which its few terms may miss without anybody's noticing
+NEGLIGIBLE_ERROR_FRACTION = 0.1  # of the table's own error, which its few terms may miss without anybody's noticing
 FEW_ROWS = 60
 LITTLE = 0.05  # of the table's error; a plan that promises less is no advice
 
 
 def build_page(results: Results) -> Page:
     """Return the page of a look-up table."""
+    check_tables(ROWS, results.tables, results.folder or Path())
     tables, summary = results.tables, results.summary
     return Page(
         "Look-up table",
@@ -53,6 +60,7 @@ def build_page(results: Results) -> Page:
             ("Study", f"{summary['study']}, variant {summary['variant']}"),
             ("Zero at", _name_place(summary["reference"])),
         ),
+        key_figures=tuple(_list_key_figures(tables, summary)),
     )
 
 
@@ -60,21 +68,32 @@ def build_page(results: Results) -> Page:
 
 
 def state_headline(summary: dict[str, Any]) -> str:
-    """Return whether to use the table, how well it tells where the platform is, and how far that moves without it."""
-    spans = []
-    for name, (low, high) in summary["axes"].items():
-        words, unit = _split(name)
-        spans.append(f"{format_plain(low)} to {format_plain(high)}{unit} of {words}")
-    moves, known = [_largest(summary, key) for key in ("largest_offset", "largest_half_width_90")]
-    worth = any(one["largest_offset"] > one["largest_half_width_90"] for one in summary["coordinates"].values())
-    if "slip" in summary:
-        return write_headline([say_data_first(summary["slip"]["text"])])
-    sound = summary["converged"]
-    advice = "Correct by the table" if worth and sound else "Do not correct by the table yet"
-    return (
-        f"{advice}: from {join_words(spans)} it gives the platform's place to ±{known} (90 %); uncorrected it moves by "
-        f"up to {moves}."
-    )
+    """Return whether to use the table, how large its uncertainty and the uncorrected offsets are, and what is next."""
+    moves, known = [_largest(summary, key) for key in ("max_offset", "max_half_width_90")]
+    worth = any(one["max_offset"] > one["max_half_width_90"] for one in summary["coordinates"].values())
+    if "suspected_data_error" in summary:
+        return write_headline([say_data_first(summary["suspected_data_error"]["text"])])
+    advice = "Correct by the table" if worth and summary["converged"] else "Do not correct by the table yet"
+    return write_headline([advice, f"Offsets up to {moves} are predicted to ±{known} (90 %)"])
+
+
+def _list_key_figures(tables: Mapping[str, pd.DataFrame], summary: dict[str, Any]) -> list[KeyFigure]:
+    """Return offsets, sd of the corrections before and after, and what the plan would bring."""
+    unit, now, prior = _unit(summary), summary["posterior_sd"], summary["prior_sd"]
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    before, after, planned = (format_significant(factor * x, 2) for x in (prior, now, summary["sd_after_plan"]))
+    worth = any(one["max_offset"] > one["max_half_width_90"] for one in summary["coordinates"].values())
+    return [
+        KeyFigure("Largest offset", _largest(summary, "max_offset"), "", "warning" if worth else "good"),
+        KeyFigure("Known to (90 %)", f"±{_largest(summary, 'max_half_width_90')}"),
+        KeyFigure("Correction sd", f"{before} → {after}", name, "good" if now < 0.5 * prior else "warning"),
+        KeyFigure(f"sd after {len(tables['plan'])} more measurements", planned, name),
+        KeyFigure("Sampler", "converged" if summary["converged"] else "not converged", "", _rate(summary["converged"])),
+    ]
+
+
+def _rate(converged: bool) -> Level:
+    return "good" if converged else "bad"
 
 
 def _largest(summary: dict[str, Any], key: str) -> str:
@@ -104,12 +123,20 @@ def _name_place(place: dict[str, float]) -> str:
 def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
     found = state_slip(summary)
     if not summary["converged"]:
-        text = f"The posterior did not converge ({'; '.join(summary['problems'])}); the table was made by force."
-        found.append(Statement(text, "bad", "Convergence"))
-    now, prior, unit = summary["sd_by_data"], summary["sd_by_tolerances"], _unit(summary)
-    text = f"A correction is known to {_amount(now, unit)} (sd, rms over the table); the tolerances alone left "
-    found.append(Statement(f"{text}{_amount(prior, unit)}.", "good" if now < 0.5 * prior else "warning", "Error"))
+        problems = [str(one) for one in summary["problems"]]
+        text = f"The posterior did not converge: {problems[0] if problems else 'not converged'}."
+        found.append(Statement(text, "bad", "Convergence", value=len(problems), limit=0.0))
+    now, prior, unit = summary["posterior_sd"], summary["prior_sd"], _unit(summary)
+    text = f"Correction sd {_amount(now, unit)} (rms over the table); prior {_amount(prior, unit)}."
+    level: Level = "good" if now < 0.5 * prior else "warning"
+    found.append(_state_amount(text, level, "Error", unit, now, prior))
     return [*found, _state_terms(summary), _state_elsewhere(summary), _state_plan(tables, summary)]
+
+
+def _state_amount(text: str, level: Level, lead: str, unit: str, value: float, limit: float) -> Statement:
+    """Return a finding of an amount in an inner unit and its limit, in the unit that they are shown in."""
+    factor, name = SHOWN.get(unit, (1.0, unit))
+    return Statement(text, level, lead, value=factor * value, limit=factor * limit, unit=name)
 
 
 def _unit(summary: dict[str, Any]) -> str:
@@ -118,52 +145,39 @@ def _unit(summary: dict[str, Any]) -> str:
 
 def _state_terms(summary: dict[str, Any]) -> Statement:
     misfit = max(one["polynomial_misfit"] for one in summary["actuators"].values())
-    sd = max(one["largest_sd"] for one in summary["actuators"].values())
-    words = f"The few terms below miss the table by at most {_amount(misfit, _unit(summary))}"
-    if misfit <= SMALL * sd:
-        return Statement(f"{words}: they may stand in for it.", "good", "Formula")
-    text = f"{words}; a correction's own sd is at most {_amount(sd, _unit(summary))}."
-    return Statement(text, "plain" if misfit <= sd else "warning", "Formula")
+    sd = max(one["max_sd"] for one in summary["actuators"].values())
+    unit = _unit(summary)
+    text = f"Largest error of the polynomial {_amount(misfit, unit)}; largest correction sd {_amount(sd, unit)}."
+    level: Level = "good" if misfit <= NEGLIGIBLE_ERROR_FRACTION * sd else "plain" if misfit <= sd else "warning"
+    return _state_amount(text, level, "Formula", unit, misfit, sd)
 
 
 def _state_elsewhere(summary: dict[str, Any]) -> Statement:
-    other = max(one["elsewhere"] for one in summary["actuators"].values())
-    text = (
-        f"The table is that of one commanded pose; at other poses of the workspace corrections differ from it by up to "
-        f"{_amount(other, _unit(summary))}."
-    )
-    sd = max(one["largest_sd"] for one in summary["actuators"].values())
-    return Statement(text, "plain" if other <= 2.0 * sd else "warning", "Elsewhere")
+    other, unit = max(one["max_difference_elsewhere"] for one in summary["actuators"].values()), _unit(summary)
+    sd = max(one["max_sd"] for one in summary["actuators"].values())
+    text = f"At other poses of the workspace corrections differ by up to {_amount(other, unit)}."
+    return _state_amount(text, "plain" if other <= 2.0 * sd else "warning", "Elsewhere", unit, other, 2.0 * sd)
 
 
 def _state_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Statement:
     plan, unit = tables["plan"], _unit(summary)
     before, after = summary["sd_before_plan"], summary["sd_after_plan"]
-    beside = "more measurements" if summary["plan_beside_data"] else "measurements from nothing"
-    if after > (1.0 - LITTLE) * before:
-        text = f"{len(plan)} {beside} would hardly help: {_amount(before, unit)} become {_amount(after, unit)}."
-        return Statement(text, "plain", "Measure next")
-    first = _name_place({name: float(plan[name].iloc[0]) for name in summary["axes"]})
-    text = (
-        f"{len(plan)} {beside}, the first at {first}, would bring the error from {_amount(before, unit)} to "
-        f"{_amount(after, unit)} (sd, rms); as many at random to {_amount(summary['sd_after_random'], unit)}."
-    )
-    return Statement(text, "plain", "Measure next")
+    what = "more measurements" if summary["plan_include_existing_data"] else "measurements"
+    only = " only" if after > (1.0 - LITTLE) * before else ""
+    text = f"{len(plan)} {what} reduce the correction sd from {_amount(before, unit)} to {_amount(after, unit)}{only}."
+    return _state_amount(text, "plain", "Next", unit, after, before)
 
 
 # --- sections ----------------------------------------------------------------------------------------------------
 
 
-def _show_offsets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
-    text = (
-        "Where the platform goes if the actuators stay where they are: what a telescope would see without the table.",
-    )
+def _show_offsets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
     figure = Figure(
         "offsets",
         "Offsets of the pose with their 90 % intervals; zero is the reference.",
         partial(draw_offsets, tables["offsets"], list(summary["axes"])),
     )
-    return make_section("What moves", text, (), (figure,))
+    return make_section("Pose offsets", (), (), (figure,))
 
 
 def draw_offsets(offsets: pd.DataFrame, axes: list[str]) -> mpl.Figure:
@@ -200,12 +214,9 @@ def _list_curves(rows: pd.DataFrame, axes: list[str]) -> list[tuple[str, pd.Data
     return [(_name_place({axes[1]: float(value)}), rows[rows[axes[1]] == value]) for value in chosen]
 
 
-def _show_corrections(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
-    text = (
-        "What to add to the actuators so that the platform stays where it was commanded to; lookup.csv has it as a "
-        "controller takes it, corrections.csv with intervals, correction_covariance.csv with covariances.",
-    )
-    return make_section("What corrects it", text, (_tabulate(tables["corrections"], list(summary["axes"])),))
+def _show_corrections(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+    text = ("Files: lookup.csv for the controller, corrections.csv, correction_covariance.csv.",)
+    return make_section("Actuator corrections", text, (_tabulate(tables["corrections"], list(summary["axes"])),))
 
 
 def _tabulate(corrections: pd.DataFrame, axes: list[str]) -> Table:
@@ -215,50 +226,40 @@ def _tabulate(corrections: pd.DataFrame, axes: list[str]) -> Table:
     columns += [Column(name, unit, symbolic=False) for name in names]
     rows: list[list[str | Cell]] = []
     for _, mine in corrections.groupby(axes, sort=False):
-        cells = [format_estimate(factor * row["mean"], factor * row["sd"]) for row in list_rows(mine)]
+        cells = [format_estimate(factor * row.mean, factor * row.sd) for row in CorrectionRow.read(mine)]
         rows.append([*(format_plain(float(value)) for value in mine[axes].iloc[0]), *cells])
     caption = "Corrections, mean ± standard deviation"
     caption += f"; the first {FEW_ROWS} places of {len(rows)}." if len(rows) > FEW_ROWS else "."
     return make_table(caption, columns, rows[:FEW_ROWS])
 
 
-def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
+def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
     table = tables["polynomial"]
     names = list(dict.fromkeys(table["actuator"]))
     factor, unit = SHOWN.get(_unit(summary), (1.0, _unit(summary)))
     columns = [Column("Term", kind="text"), *(Column(name, unit) for name in names)]
     rows: list[list[str | Cell]] = []
     for term, mine in table.groupby("term", sort=False):
-        cells = [format_estimate(factor * row["coefficient"], factor * row["sd"]) for row in list_rows(mine)]
+        cells = [format_estimate(factor * row.coefficient, factor * row.sd) for row in PolynomialTermRow.read(mine)]
         rows.append([str(term), *cells])
     misfit = [format_significant(factor * summary["actuators"][name]["polynomial_misfit"], 2) for name in names]
     rows.append(["misses the table by at most", *misfit])
-    text = (
-        "The same in a few terms, each zero at the reference, fitted to every draw of the posterior; polynomial.json "
-        "has them with the covariance of all coefficients.",
-    )
-    return make_section("In a few terms", text, (make_table("Coefficients, mean ± sd.", columns, rows),))
+    text = ("Polynomial approximation, zero at the reference; with covariances in polynomial.json.",)
+    return make_section("Polynomial fit", text, (make_table("Coefficients, mean ± sd.", columns, rows),))
 
 
-def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
-    plan, unit = tables["plan"], _unit(summary)
+def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+    planned, unit = PlanRow.read(tables["plan"]), _unit(summary)
     factor, shown = SHOWN.get(unit, (1.0, unit))
     axes = list(summary["axes"])
-    places = [name for name in plan.columns if not name.startswith(("order", "sd_", "largest_"))]
+    places = list(planned[0].others)
     columns = [Column(""), *(Column(_split(name)[0], _split(name)[1].strip()) for name in places)]
-    columns += [Column("error then", shown), Column("the largest", shown), Column("at random", shown)]
+    columns += [Column("resulting error", shown), Column("largest", shown), Column("random poses", shown)]
     rows: list[list[str | Cell]] = []
-    for row in list_rows(plan):
-        errors = [
-            format_significant(factor * row[key], 3) for key in ("sd_after", "largest_sd_after", "sd_after_random")
-        ]
-        at = [format_plain(row[name]) if name in axes else format_significant(row[name], 4) for name in places]
-        rows.append([str(row["order"]), *at, *errors])
+    for row in planned:
+        errors = [format_significant(factor * sd, 3) for sd in (row.sd, row.max_sd, row.random_sd)]
+        at = [format_plain(x) if name in axes else format_significant(x, 4) for name, x in row.others.items()]
+        rows.append([str(row.order), *at, *errors])
     drop = format_percent(1.0 - summary["sd_after_plan"] / summary["sd_before_plan"])
-    text = (
-        f"Poses and places chosen one by one out of random poses at every place of the table, each the one that lowers "
-        f"the table's mean squared error most (I-optimal); all together lower the error by {drop}: the standard "
-        f"deviation of a correction, rms over places and actuators, {_amount(summary['sd_before_plan'], unit)} "
-        "beforehand.",
-    )
+    text = (f"Greedy I-optimal choice; all together reduce the rms correction sd by {drop}.",)
     return make_section("Where to measure next", text, (make_table("Measurements, the best first.", columns, rows),))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Number, Section
-from bayescal.experiments.shared.of_another import OfAnotherConfig
+from bayescal.experiments.shared.derived import OfAnotherConfig
 
 type Axis = Annotated[list[Number], Field(min_length=2, max_length=1000)]
 
@@ -21,14 +20,12 @@ class TablePlanConfig(Section):
     """How many measurements to choose."""
     poses: Annotated[int, Field(ge=1, le=1000)] = 10
     """How many random poses of the workspace are candidates at every place of the table."""
-    beside_data: bool = True
-    """Whether they come beside the study's data, or in place of it."""
+    include_existing_data: bool = True
+    """Whether they add to the study's data, or replace it."""
 
 
 class TableConfig(OfAnotherConfig):
     """What the actuators have to do where what is known of each pose changes, of a study's posterior."""
-
-    gone: ClassVar[Mapping[str, str]] = {"calibration": "study"}
 
     kind: Literal["table"]
     """`"table"`."""
@@ -46,7 +43,7 @@ class TableConfig(OfAnotherConfig):
     """Where to measure next."""
     mode: Annotated[int, Field(ge=1, le=100)] | None = Field(default=None, exclude_if=lambda value: value is None)
     """Which of several solutions of the posterior, the most probable first; needed where it has several."""
-    force: bool = False
+    allow_unconverged: bool = False
     """Make the table of a posterior that did not converge, too."""
 
     @model_validator(mode="after")

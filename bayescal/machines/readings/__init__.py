@@ -1,9 +1,9 @@
 """Internal and external sensors as functions of the pose and of the machine's parameters."""
 
-from bayescal.machines.readings.base import POSE, Bound, Channel, Coordinate, Given, ReadingModel, Readings
+from bayescal.machines.readings.base import POSE, BoundReadings, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
-from bayescal.machines.readings.legs import Legs, legs_of
-from bayescal.machines.readings.placed import Instrument, Placed, PoseInstrument, place
+from bayescal.machines.readings.legs import Legs, as_legs
+from bayescal.machines.readings.placed import Instrument, InstrumentedMachine, PoseInstrument, place
 from bayescal.machines.readings.tracker import Tracker
 
 MACHINES = {
@@ -21,20 +21,20 @@ __all__ = [
     "INSTRUMENTS",
     "MACHINES",
     "POSE",
-    "Bound",
+    "BoundReadings",
     "Channel",
     "Coordinate",
     "FunctionModel",
     "Given",
     "Instrument",
+    "InstrumentedMachine",
     "Legs",
     "Parameters",
-    "Placed",
     "PoseInstrument",
     "ReadingMachine",
     "ReadingModel",
     "Readings",
     "Tracker",
-    "legs_of",
+    "as_legs",
     "place",
 ]

@@ -166,7 +166,7 @@ def colour(pattern: np.ndarray) -> np.ndarray:
 
 type Given = Mapping[str, Array]
 """What is known of each row of the data, by name, shaped as the poses' leading axes: a temperature, a command."""
-NOTHING: Given = MappingProxyType({})
+NO_CONDITIONS: Given = MappingProxyType({})
 SAME = 1e-6  # of the workspace's half width, within which two poses are one
 SLACK = 1e-6  # mm or rad beyond a channel's range, which digits of a table leave
 
@@ -254,7 +254,7 @@ POSE_CHANNELS = tuple(
 """Position and rotation vector of a platform, seen from beside the machine."""
 
 EVERY = (Channel("every", ""),)
-"""In place of a model's channels: all sensors that its machine could have."""
+"""Instead of a model's channels: all sensors that its machine could have."""
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ def hand_on(name: str) -> Any:
     return property(attrgetter(name))
 
 
-class Bound(ABC):
+class BoundReadings(ABC):
     """Readings of C channels of many machines at poses that stay, and how they follow where these are moved.
 
     Arrays run over (channel, pose, machine), the machine last: there every operation is a long contiguous loop. What a
@@ -398,7 +398,7 @@ class ReadingModel(ABC):
         del values
         return self
 
-    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
         """Return readings near measured ones (P, K) bound to poses (P, q); None, as by default, where `read` is all.
 
         ``theta`` (D,) is a machine much like those that will be asked for.
@@ -491,7 +491,7 @@ class ReadingModel(ABC):
         return np.asarray(((slopes != 0.0) | np.isnan(slopes)).any(axis=0))
 
     @abstractmethod
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return the readings h.
 
         Parameters
@@ -510,10 +510,12 @@ class ReadingModel(ABC):
         """
 
     @abstractmethod
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+    def linearise(
+        self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NO_CONDITIONS
+    ) -> Readings:
         """Return the readings with their derivatives; arguments as in `read`."""
 
-    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+    def error_gain(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array | None:
         """Return how the model error of each channel shows in all of them, (..., K, K), arguments as in `read`.
 
         None, as by default, where each shows in its own channel alone.
@@ -543,7 +545,7 @@ class ReadingModel(ABC):
         self,
         theta: Array,
         commands: Array,
-        given: Given = NOTHING,
+        given: Given = NO_CONDITIONS,
         start: Array | None = None,
         weights: Array | None = None,
     ) -> tuple[Array, np.ndarray]:
@@ -568,14 +570,14 @@ class ReadingModel(ABC):
         """
         return locate_pose(self, theta, commands, given, start, weights)
 
-    def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+    def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return what machines (S, D) near another (D,) read more than commanded (P, C) at poses (P, q), (P, C, S)."""
         del mean
         places = self.select(self.commanded)
         read = self.read(theta[:, None], pose, {name: value[None] for name, value in given.items()})[..., places]
         return np.moveaxis(read - commands, 0, -1)
 
-    def find_faults(self, theta: Array, pose: Array, commands: Array, given: Given = NOTHING) -> tuple[str, ...]:
+    def find_faults(self, theta: Array, pose: Array, commands: Array, given: Given = NO_CONDITIONS) -> tuple[str, ...]:
         """Return why a machine (D,) does not come to poses (P, q) by the commands (P, C) that hold them; else nothing.
 
         A channel has no value there, or one beyond its range, or the way from home leads to another pose.

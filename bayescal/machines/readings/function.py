@@ -23,7 +23,7 @@ from bayescal.files.plain_text import add_article
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
     EVERY,
-    NOTHING,
+    NO_CONDITIONS,
     Channel,
     Coordinate,
     Given,
@@ -79,7 +79,7 @@ def check_tool(model: FunctionModel) -> None:
             raise InputError(f"{where}_channels: found {one!r}, expected a Channel")
     _check_rotations(f"{where}_channels", machine.tool_channels)
     theta, pose, _ = draw_points(model, POINTS)
-    expected = f"numbers {_describe_shapes(model, theta, pose, NOTHING)}"
+    expected = f"numbers {_describe_shapes(model, theta, pose, NO_CONDITIONS)}"
     found, _, _ = _call(where, expected, lambda: model.tool(theta, pose))
     names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
     if found.shape[-1] != len(names):
@@ -138,7 +138,7 @@ def _describe_shapes(model: FunctionModel, theta: Any, pose: Any, given: Given) 
     return f"of {', '.join(shapes)}"
 
 
-def _call[Found](where: str, expected: str, function: Callable[[], Found]) -> Found:
+def _call[Result](where: str, expected: str, function: Callable[[], Result]) -> Result:
     """Return what somebody else's code returns; InputError for whatever it raises."""
     try:
         with np.errstate(all="ignore"):
@@ -208,7 +208,7 @@ def _differ(model: FunctionModel, where: str, here: Array, entry: int, size: Arr
     return np.asarray((above - below) / (2.0 * size[:, None]))
 
 
-STEP = 1e-30
+COMPLEX_STEP = 1e-30
 AT_ONCE = 8192
 """Places at which a function is evaluated together: what it holds meanwhile stays in a processor's cache."""
 LARGEST_STEP = 1e-10  # what no derivative makes of a step, but a function that leaves the reals does
@@ -426,7 +426,7 @@ class FunctionModel(ReadingModel):
             found = np.broadcast_to(found, (*np.broadcast_shapes(pose.shape[:-1], found.shape[:-1]), found.shape[-1]))
         return self.take(found)
 
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         with np.errstate(all="ignore"):
             return np.asarray(self.evaluate(theta, pose, given), dtype=np.float64)
@@ -442,18 +442,20 @@ class FunctionModel(ReadingModel):
         turned = np.concatenate(moved)
         # where a real argument has no value, a complex one has: the root of a negative number is imaginary
         nowhere = (np.abs(turned) > LARGEST_STEP).any(axis=0)
-        return np.where(nowhere, np.nan, values), np.where(nowhere, np.nan, turned / STEP)
+        return np.where(nowhere, np.nan, values), np.where(nowhere, np.nan, turned / COMPLEX_STEP)
 
     def _step(self, function: Callable[[Any, Any], Any], theta: Array, pose: Array, directions: Array) -> Any:
         """Return a function's values (C, ..., m) at complex steps along directions (C, D + q) of (d, v)."""
         n = self.layout.size
         rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)
-        along = 1j * STEP * directions
+        along = 1j * COMPLEX_STEP * directions
         with np.errstate(all="ignore"):
             moved = theta + along[:, :n].reshape(*rounds, n), pose + along[:, n:].reshape(*rounds, -1)
             return np.asarray(function(*moved))
 
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+    def linearise(
+        self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NO_CONDITIONS
+    ) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
         n, q, steps = self.layout.size, len(self.coordinates), self._steps[with_parameters]
         if not len(steps.places):
@@ -511,7 +513,7 @@ class FunctionModel(ReadingModel):
         found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
         found = np.broadcast_to(found, (len(every), *shape, found.shape[-1]))
-        slopes = np.moveaxis(found.imag / STEP, 0, -1)
+        slopes = np.moveaxis(found.imag / COMPLEX_STEP, 0, -1)
         return found[0].real, slopes[..., n:], slopes[..., :n]
 
     def tool_values(self, theta: Array, pose: Array) -> Array:

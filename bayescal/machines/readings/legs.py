@@ -39,10 +39,10 @@ from bayescal.machines.models.base import BoundClosure
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors, scatter
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
-    NOTHING,
+    NO_CONDITIONS,
     POSE,
     POSE_CHANNELS,
-    Bound,
+    BoundReadings,
     Channel,
     Coordinate,
     Given,
@@ -79,7 +79,7 @@ class Legs(ReadingModel):
     # (3,): the tool's centre, platform frame, mm; known. None where the whole pose has to be accurate
     tool_point: Array | None = None
     name: str = ""  # that of the mechanism where it is left out
-    # whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors in place of N + 6
+    # whether it could have inclinometers, whose zeros are parameters then: K = 3 N + 6 sensors instead of N + 6
     inclined: bool = False
     # whether gains of the actuators are parameters; always where the mechanism states them
     has_gains: bool = False
@@ -231,7 +231,7 @@ class Legs(ReadingModel):
         seen = np.broadcast_to(pose, (*actuators.shape[:-1], len(POSE)))
         return np.concatenate([actuators, *(values for values, _ in tilts), seen], axis=-1)
 
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         del given
         position, rotation, actuators = self._hold(theta, pose)
@@ -242,7 +242,9 @@ class Legs(ReadingModel):
             tilts = [self._measure_tilt(kind, theta, legs) for kind in self._tilts]
         return self.take(self._join(pose, self.read_actuators(theta, actuators), tilts))
 
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+    def linearise(
+        self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NO_CONDITIONS
+    ) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
         del given
         machine, n, own = self.machine, self.n_legs, self._own(theta)
@@ -280,7 +282,7 @@ class Legs(ReadingModel):
         by_pose[..., -len(POSE) :, :] = np.eye(len(POSE))
         return Readings(values, by_pose, by_parameters).pick(self.places)
 
-    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+    def error_gain(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array | None:
         """Return how the model error of each channel shows in all of them; see `ReadingModel.error_gain`.
 
         A leg's model error is an error of its own closure: unlike a displacement of its actuator it deflects no other
@@ -333,7 +335,7 @@ class Legs(ReadingModel):
                 known[:, leg] = values[:, names.index(name)]
         return replace(self, known=known)
 
-    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
         """Return the encoders' readings by the closure at these poses; see `ReadingModel.bind`.
 
         What they read is ρ - (∂f/∂ρ)⁻¹ f at the measured ρ, to first order, with the slope of one machine: no inverse
@@ -375,7 +377,7 @@ class Legs(ReadingModel):
         self,
         theta: Array,
         commands: Array,
-        given: Given = NOTHING,
+        given: Given = NO_CONDITIONS,
         start: Array | None = None,
         weights: Array | None = None,
     ) -> tuple[Array, np.ndarray]:
@@ -396,7 +398,7 @@ class Legs(ReadingModel):
         pose, arrived = locate_pose(self, theta, commands, given, near, weights)
         return np.where(good[..., None], pose, np.nan), good & arrived
 
-    def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NOTHING) -> Array:
+    def respond(self, theta: Array, mean: Array, pose: Array, commands: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return h - ρ as -(∂f/∂ρ)⁻¹ f, whose slope is the mean machine's: no inverse kinematics for each draw."""
         if len(self.commanded) < self.n_legs:
             return super().respond(theta, mean, pose, commands, given)
@@ -418,14 +420,14 @@ class Legs(ReadingModel):
         return np.asarray(travel / self.layout.take(theta, GAIN).T - (commands - start)[..., None])
 
 
-def legs_of(model: ReadingModel) -> Legs | None:
+def as_legs(model: ReadingModel) -> Legs | None:
     """Return the legs of a machine, with instruments beside it or without; None of another one."""
     whole = getattr(model, "whole", model)
     return whole if isinstance(whole, Legs) else None
 
 
 @dataclass(frozen=True, eq=False)
-class BoundLegs(Bound):
+class BoundLegs(BoundReadings):
     """Encoders of machines on legs at poses that stay, by a bound closure."""
 
     places: np.ndarray
@@ -441,7 +443,7 @@ class BoundLegs(Bound):
     here_gain: Array | None  # (N,): those of the machine whose slope it has
 
     def read(self, theta: Array) -> Array:
-        """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ, through the gains; see `Bound.read`."""
+        """Return ρ - (∂f/∂ρ)⁻¹ f at the measured ρ, through the gains; see `BoundReadings.read`."""
         residual = self.closure.evaluate(np.asfortranarray(theta[:, : self.n_own]))
         standing = self.actuators[..., None] - self.inverse @ residual.transpose(1, 0, 2)
         if self.gains is not None:
@@ -450,7 +452,7 @@ class BoundLegs(Bound):
         return np.asarray(standing.transpose(1, 0, 2))
 
     def differentiate(self, theta: Array) -> tuple[Array, Array]:
-        """Return those of the closure at the measured ρ; see `Bound.differentiate`."""
+        """Return those of the closure at the measured ρ; see `BoundReadings.differentiate`."""
         own, machine = theta[: self.n_own], self.machine
         here = machine.model.prepare(machine.layout, own)(*self.place, machine.basis_at(own, self.actuators))
         by_pose = -divide_closure(here.actuators, here.pose)
@@ -465,7 +467,7 @@ class BoundLegs(Bound):
         return by_pose, by_parameters
 
     def follow(self, step: Array) -> Array:
-        """Return -(∂f/∂ρ)⁻¹ ∂f/∂pose times the steps; see `Bound.follow`."""
+        """Return -(∂f/∂ρ)⁻¹ ∂f/∂pose times the steps; see `BoundReadings.follow`."""
         moved = step.copy()
         moved[3:] = (self.turns @ step[3:].transpose(1, 0, 2)).transpose(1, 0, 2)
         change = self.closure.along(moved).transpose(1, 0, 2) + self.more @ moved.transpose(1, 0, 2)

@@ -43,29 +43,29 @@ class LineConfig(Section):
     """Where the line's anchor is."""
     spool_radius_mm: Positive
     """Radius of the spool with the line on it, when the mover is at the origin."""
-    parallel: Annotated[int, Field(ge=1, le=100)] = 1
+    n_parallel_lines: Annotated[int, Field(ge=1, le=100)] = 1
     """How many lines run in parallel from the spool to the mover."""
 
 
 class LineMachineConfig(Section):
     """A point on lines; ``tension`` says where the lines' tensions come from.
 
-    ``none``: lines do not stretch; ``hanging``: of the weight and the pretension; ``given``: columns ``force_1`` and so
-    on of the data, in N, and ``force_at_origin_n``.
+    ``none``: lines do not stretch; ``hanging``: of the weight and the pretension; ``measured``: columns ``force_1`` and
+    so on of the data, in N, and ``force_at_origin_n``.
     """
 
     lines: Annotated[list[LineConfig], Field(min_length=1)]
     """The lines, one table each."""
     gear: Positive
     """Turns of the motor per turn of the spool [1]."""
-    buildup_mm: NotNegative
-    """Build-up Q of line on a spool: r² = R² − parallel · Q · (line paid out)."""
-    reach_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    spool_buildup_mm: NotNegative
+    """Build-up Q of line on a spool: r² = R² − n_parallel_lines · Q · (line paid out)."""
+    workspace_half_width_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
     """Half widths of the workspace in x, y and z."""
     centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """Centre of the workspace."""
-    tension: Literal["none", "hanging", "given"] = "none"
-    """Where the tensions of the lines come from: `none`, `hanging` (weight and pretension) or `given` (columns of
+    tension: Literal["none", "hanging", "measured"] = "none"
+    """Where the tensions of the lines come from: `none`, `hanging` (weight and pretension) or `measured` (columns of
     the data).
     """
     compliance_per_million: NotNegative = 0.0
@@ -75,7 +75,7 @@ class LineMachineConfig(Section):
     pretension_n: Number = 0.0
     """What pretension adds to the tensions of the lines."""
     force_at_origin_n: list[NotNegative] = Field(default=[])
-    """Tensions at the origin, one per line; with `tension = "given"`."""
+    """Tensions at the origin, one per line; with `tension = "measured"`."""
 
 
 class LineMachine(ReadingMachine):
@@ -87,14 +87,14 @@ class LineMachine(ReadingMachine):
     def __init__(self, config: LineMachineConfig) -> None:
         """Lay out parameters, coordinates and channels."""
         self.tension = config.tension
-        self.parallel = np.array([float(one.parallel) for one in config.lines])
+        self.parallel = np.array([float(one.n_parallel_lines) for one in config.lines])
         self.gear, self.weight = config.gear, config.mass_kg * GRAVITY
         n = range(1, len(config.lines) + 1)
         anchors = np.array([one.anchor_mm for one in config.lines]).T
         self.parameters = [
             *(ParameterBlock(f"A_{axis}", tuple(one)) for axis, one in zip(AXES, anchors, strict=True)),
             ParameterBlock("R", tuple(one.spool_radius_mm for one in config.lines), lower=0.0),
-            ParameterBlock("Q", (config.buildup_mm,), per_leg=False),
+            ParameterBlock("Q", (config.spool_buildup_mm,), per_leg=False),
             ParameterBlock("c", (config.compliance_per_million,), "1e-6/N", per_leg=False),
             ParameterBlock("T", (config.pretension_n,), "N", per_leg=False),
             *(ParameterBlock(f"o_{axis}", (0.0,), per_leg=False) for axis in AXES),
@@ -103,7 +103,7 @@ class LineMachine(ReadingMachine):
         ]
         self.coordinates = [
             Coordinate(axis, "mm", home, reach)
-            for axis, home, reach in zip(AXES, config.centre_mm, config.reach_mm, strict=True)
+            for axis, home, reach in zip(AXES, config.centre_mm, config.workspace_half_width_mm, strict=True)
         ]
         self.channels = [
             *(Channel(f"motor[{k}]", "rad") for k in n),
@@ -112,7 +112,7 @@ class LineMachine(ReadingMachine):
         ]
         self.tool_channels = [Channel(axis, "mm") for axis in AXES]
         self.commanded = ["motor"]
-        self.given = tuple(f"force_{k}" for k in n) if config.tension == "given" else ()
+        self.given = tuple(f"force_{k}" for k in n) if config.tension == "measured" else ()
         self.at_origin = np.array(config.force_at_origin_n or [0.0] * len(config.lines))
 
     def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:

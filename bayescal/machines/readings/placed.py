@@ -26,9 +26,9 @@ from bayescal.config.sections import Section, Vector
 from bayescal.errors import InputError, name_faults
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
-    NOTHING,
+    NO_CONDITIONS,
     POSE,
-    Bound,
+    BoundReadings,
     Channel,
     Coordinate,
     Given,
@@ -45,7 +45,7 @@ from bayescal.machines.readings.closed_forms import (
     list_turns,
     vector_of,
 )
-from bayescal.machines.readings.function import STEP, FunctionModel, Parameters, ReadingMachine
+from bayescal.machines.readings.function import COMPLEX_STEP, FunctionModel, Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array
 
@@ -316,7 +316,7 @@ def _find_target(parameters: Mapping[str, Any], position: Any, rotation: Any) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Placed(ReadingModel):
+class InstrumentedMachine(ReadingModel):
     """A machine with instruments beside it; made by `place`."""
 
     whole: ReadingModel
@@ -344,25 +344,25 @@ class Placed(ReadingModel):
         """The machine's channels, then those of each instrument."""
         return (*self.whole.channels, *(_rename(one.name, seen) for one in self.instruments for seen in one.channels))
 
-    def pick(self, channels: np.ndarray) -> Placed:
+    def pick(self, channels: np.ndarray) -> InstrumentedMachine:
         """Return the same machine with some of its channels, in their order; a part computes no more than its own."""
         chosen, parts, start = np.arange(len(self.channels))[channels], [], 0
         for part in (self.whole, *self.instruments):
             end = start + len(part.channels)
             parts.append(part.pick(chosen[(chosen >= start) & (chosen < end)] - start))
             start = end
-        return Placed(parts[0], tuple(parts[1:]))  # type: ignore[arg-type]
+        return InstrumentedMachine(parts[0], tuple(parts[1:]))  # type: ignore[arg-type]
 
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Return what the machine says; all where an instrument is read, which sees the tool."""
         names = [self.names[k] for k in self.select(channels)]
         return self.whole.seen_parameters(names) if {*names} <= {*self.whole.names} else self.layout.names
 
-    def near(self, values: Array) -> Placed:
+    def near(self, values: Array) -> InstrumentedMachine:
         """Return the same with its machine near its readings; see `ReadingModel.near`."""
         return replace(self, whole=self.whole.near(values[:, : len(self.whole.channels)]))
 
-    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NOTHING) -> Bound | None:
+    def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
         """Return the machine's readings bound to poses, with those of instruments there; see `ReadingModel.bind`.
 
         None where parameters of the machine move its tool.
@@ -419,8 +419,10 @@ class Placed(ReadingModel):
         by_pose, by_parameters = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
         by_pose[..., rows, :], by_parameters[..., rows, :] = (one[..., places, :] for one in slopes)
         if self.tells_rotation and not self.tool_turned:
-            turned = rotation_vector(self.rotation_in_space(pose[..., None, :] + 1j * STEP * np.eye(pose.shape[-1])))
-            by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / STEP
+            turned = rotation_vector(
+                self.rotation_in_space(pose[..., None, :] + 1j * COMPLEX_STEP * np.eye(pose.shape[-1]))
+            )
+            by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / COMPLEX_STEP
         return tool, by_pose, by_parameters
 
     def _names_of_instrument(self, name: str) -> set[str]:
@@ -432,14 +434,14 @@ class Placed(ReadingModel):
         self,
         theta: Array,
         commands: Array,
-        given: Given = NOTHING,
+        given: Given = NO_CONDITIONS,
         start: Array | None = None,
         weights: Array | None = None,
     ) -> tuple[Array, np.ndarray]:
         """Return where the machine comes to, which no instrument moves; see `ReadingModel.locate`."""
         return self.whole.locate(self._split(theta)[0], commands, given, start, weights)
 
-    def read(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array:
+    def read(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array:
         """Return the readings; see `ReadingModel.read`."""
         own, *others = self._split(theta)
         parts = [self.whole.read(own, pose, given)]
@@ -449,7 +451,9 @@ class Placed(ReadingModel):
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
         return np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in parts], axis=-1)
 
-    def linearise(self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NOTHING) -> Readings:
+    def linearise(
+        self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NO_CONDITIONS
+    ) -> Readings:
         """Return the readings with their derivatives; see `ReadingModel.linearise`."""
         own, *others = self._split(theta)
         shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(self.channels))
@@ -472,7 +476,7 @@ class Placed(ReadingModel):
             row, column = rows.stop, column + some.shape[-1]
         return Readings(values, by_pose, by_parameters)
 
-    def error_gain(self, theta: Array, pose: Array, given: Given = NOTHING) -> Array | None:
+    def error_gain(self, theta: Array, pose: Array, given: Given = NO_CONDITIONS) -> Array | None:
         """Return the machine's; an instrument's model error shows in its own channel alone."""
         own = self.whole.error_gain(self._split(theta)[0], pose, given)
         if own is None:
@@ -490,24 +494,24 @@ class Placed(ReadingModel):
 
 
 @dataclass(frozen=True, eq=False)
-class _BoundPlaced(Bound):
+class _BoundPlaced(BoundReadings):
     """A bound machine and its instruments, which see the tool (P, 6) where the poses are."""
 
     places: np.ndarray
-    placed: Placed
-    bound: Bound
+    placed: InstrumentedMachine
+    bound: BoundReadings
     tool: Array
     slope: Array  # (P, C, q): by the pose, of one machine
 
     def read(self, theta: Array) -> Array:
-        """Return those of the machine, then those of the instruments; see `Bound.read`."""
+        """Return those of the machine, then those of the instruments; see `BoundReadings.read`."""
         parts, shape = self.placed._split(theta[:, None]), (len(theta), len(self.tool))
         seen = [one.read(some, self.tool) for one, some in zip(self.placed.instruments, parts[1:], strict=True)]
         read = np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in seen], axis=-1)
         return np.concatenate([self.bound.read(theta), read.transpose(2, 1, 0)])
 
     def differentiate(self, theta: Array) -> tuple[Array, Array]:
-        """Return both parts'; see `Bound.differentiate`."""
+        """Return both parts'; see `BoundReadings.differentiate`."""
         own, *others = self.placed._split(theta)
         by_pose, by_own = self.bound.differentiate(own)
         by_parameters = np.zeros((len(self.tool), len(by_own[0]) + self.slope.shape[1], len(theta)))
@@ -520,7 +524,7 @@ class _BoundPlaced(Bound):
         return np.concatenate([by_pose, self.slope], axis=1), by_parameters
 
     def follow(self, step: Array) -> Array:
-        """Return both parts' changes; see `Bound.follow`."""
+        """Return both parts' changes; see `BoundReadings.follow`."""
         change = (self.slope @ step.transpose(1, 0, 2)).transpose(1, 0, 2)
         return np.concatenate([self.bound.follow(step), change])
 
@@ -550,7 +554,7 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     if not instruments:
         return machine
     title = getattr(machine, "name", "")
-    bare = Placed(machine, ())
+    bare = InstrumentedMachine(machine, ())
     placed = []
     for name, one in instruments.items():
         with name_faults(f"instruments.{name}"):
@@ -572,7 +576,7 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
                     "among tool_channels of its class, or an instrument that sees the tool's centre alone"
                 )
             placed.append(model)
-    found = Placed(machine, tuple(placed))
+    found = InstrumentedMachine(machine, tuple(placed))
     for names in (found.layout.symbols, tuple(one.stem for one in found.channels)):  # by which columns name channels
         for name in names:
             if names.count(name) > 1:

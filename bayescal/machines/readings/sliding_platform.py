@@ -87,7 +87,7 @@ class SlidingPlatform(ReadingMachine):
         self.guide_points = np.array([leg.guide_point_mm for leg in config.legs])
         self.guide_angles = np.radians([leg.guide_angle_deg for leg in config.legs])
         self.leg_lengths = np.array([leg.length_mm for leg in config.legs])
-        self.forward = np.array([leg.points == "along" for leg in config.legs])
+        self.forward = np.array([leg.direction == "along" for leg in config.legs])
         self.platform_points = (points - points[0]) @ own.T
         self.tool_point = own @ (np.array(config.tool.point_mm) - points[0])
         self.home = np.array([*(config.home.tool_mm - matrix_of_angle(np.array(angle)) @ self.tool_point), angle])

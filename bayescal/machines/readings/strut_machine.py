@@ -59,9 +59,9 @@ class StrutMachineConfig(Section):
     """Joints of the platform, its frame."""
     home_mm: Vector
     """Where the platform's origin is at home, base frame; the platform is parallel to the base there."""
-    reach_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    workspace_half_width_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
     """Half widths of the workspace in x, y and z."""
-    reach_deg: Annotated[list[Positive], Field(min_length=3, max_length=3)]
+    workspace_half_width_deg: Annotated[list[Positive], Field(min_length=3, max_length=3)]
     """Half widths of the workspace about x, y and z."""
     mass_kg: Positive
     """Mass that the struts carry."""
@@ -138,7 +138,7 @@ class StrutMachine(ReadingMachine):
             ),
             *(_single(f"drift_{axis}", 0.0, unit) for axis, unit in _list_axes("um/K", "urad/K")),
         ]
-        reach = [*config.reach_mm, *np.deg2rad(config.reach_deg)]
+        reach = [*config.workspace_half_width_mm, *np.deg2rad(config.workspace_half_width_deg)]
         self.coordinates = [
             Coordinate(axis, unit, float(at), float(half))
             for (axis, unit), at, half in zip(_list_axes("mm", "rad"), [*home, 0.0, 0.0, 0.0], reach, strict=True)

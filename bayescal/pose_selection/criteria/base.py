@@ -72,7 +72,7 @@ class Criterion(ABC):
 
     @abstractmethod
     def value(self, rows: Array, n_poses: int) -> Array:
-        """Return the criterion of stacked rows (..., R, L), those of the prior included, found anew, shape (...)."""
+        """Return the criterion of stacked rows (..., R, L), those of the prior included, shape (...)."""
 
     @abstractmethod
     def gradient(self, rows: Array, n_poses: int) -> Array:
@@ -167,7 +167,7 @@ class Scorer(ABC):
         return np.concatenate([base, blocks[members].reshape(-1, blocks.shape[-1])])
 
     def value(self) -> float:
-        """Return the criterion of the set, found anew."""
+        """Return the criterion of the set, computed again."""
         return float(self.criterion.value(self.stack(), self.n_poses))
 
     @abstractmethod

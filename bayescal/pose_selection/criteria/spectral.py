@@ -25,7 +25,7 @@ ROUGH, FINE = 8, 20
 """Columns of V that belong to the least eigenvalues and are compressed to as one block."""
 FIRST = 16
 CHUNK = 32
-TINY = 1e-300
+MIN_DETERMINANT = 1e-300
 SLACK = 1e-6
 """On bounds, of their size: the eigenvalues behind them are rounded, by condition times 1e-16."""
 
@@ -151,7 +151,7 @@ class SpectralScorer(Scorer):
         middle = eigenvalues[m:] + sign * np.einsum("ckl,ckl->cl", seen[..., m:], seen[..., m:])
         lowest = np.maximum(np.linalg.eigvalsh(block), 0.0)
         top = np.maximum(lowest[:, -1], middle.max(axis=1, initial=0.0))
-        bound = self.criterion.bound(lowest, np.maximum(middle, TINY), np.maximum(top, TINY))
+        bound = self.criterion.bound(lowest, np.maximum(middle, MIN_DETERMINANT), np.maximum(top, MIN_DETERMINANT))
         return bound * (1.0 + SLACK) + SLACK * bound.max(initial=0.0)
 
 

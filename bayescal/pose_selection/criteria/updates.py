@@ -1,11 +1,11 @@
-"""Scorers of criteria that follow from the inverse information: updates of rank k in place of new decompositions.
+"""Scorers of criteria that follow from the inverse information: updates of rank k instead of new decompositions.
 
 With P the inverse information of the set and G = B P Bᵀ of a pose with the rows B (k, L),
 
     log det(A ± BᵀB) = log det A + log det(1 ± G)                          (matrix determinant lemma)
     (A ± BᵀB)⁻¹ = P ∓ P Bᵀ (1 ± G)⁻¹ B P                                   (Woodbury)
 
-G of all candidates is kept and follows each change of the set by its rank k too; it is found anew after
+G of all candidates is kept and follows each change of the set by its rank k too; it is computed again after
 `REFRESH` changes, so that rounding cannot pile up. Arrays over all candidates have these in their last axis.
 """
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from bayescal.numerics.geometry import Array
 from sika2008.schema import NoiseSweepConfig
 from sika2008.sensors import compute_calibrability, locate_tool

@@ -1,4 +1,4 @@
-"""Many plausible machines in place of the documented one: which figures are the machine's and which the sensors'."""
+"""Many plausible machines instead of the documented one: which figures are the machine's and which the sensors'."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.schema import SlidingPlatformConfig
@@ -145,7 +145,7 @@ def judge_candidate(one: Candidate) -> list[dict[str, object]]:
 
 
 def _count_zeros_alike(plan: Plan, tolerance: float) -> FreeParameters:
-    """Return what a plan frees, zeros of angle sensors known beforehand as well as guide angles are."""
+    """Return what a plan frees, zeros of angle sensors known a priori as well as guide angles are."""
     zero = np.array([name.partition("[")[0] in ZEROS for name in plan.parameters])
     return replace(plan.free, scale=np.where(zero, tolerance, plan.free.scale))
 

@@ -17,14 +17,14 @@ from bayescal.report.blocks import (
     Figure,
     Level,
     Page,
-    Section,
+    PageSection,
     Statement,
     Table,
     make_section,
     make_table,
 )
 from bayescal.report.numbers import (
-    NOTHING,
+    NO_VALUE,
     format_estimate,
     format_fixed,
     format_percent,
@@ -65,8 +65,8 @@ type Row = list[str | Cell]
 def build_page(name: str, title: str, tables: Tables, summary: dict[str, Any]) -> Page:
     """Return the page of an experiment's tables."""
     sections = [
-        _show_calibrability(tables, summary),
         _show_one(tables, summary),
+        _show_calibrability(tables, summary),
         _show_errors(tables, summary),
         _show_coverage(tables),
         *_show_machines(tables, summary),
@@ -100,15 +100,7 @@ def _list_facts(summary: dict[str, Any]) -> tuple[tuple[str, str], ...]:
 # --- calibrability ---------------------------------------------------------------------------------------------------
 
 
-def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> Section:
-    text = (
-        "C = cond(JᵀJ), J the Jacobian of the loop constraints by the calibrated parameters with the poses "
-        "eliminated (eq. 6). A condition number compares directions of the parameters; where these mix lengths and "
-        "angles the comparison rests on the units. Millimetres in place of metres weigh residuals and columns anew "
-        "and change C by orders of magnitude, and its improvement from set to set with it, though the machine and "
-        "its sensors are the same. In units of noise and tolerances C has a meaning, the ratio of the best to the "
-        "least gain over what was known beforehand, and depends on what that is.",
-    )
+def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> PageSection:
     columns = [Column("Set", kind="text"), Column("Sensors"), Column("Parameters")]
     published = _published_values(tables, "calibrability")
     columns += [Column("C", "m, rad", "published")] if published else []
@@ -124,8 +116,8 @@ def _show_calibrability(tables: Tables, summary: dict[str, Any]) -> Section:
         row = [f"{before} to {after}: factor of improvement", "", ""]
         row += [format_printed(published.get(f"{before} to {after}", math.nan))] if published else []
         rows.append(row + [format_power(by_set[before][u] / by_set[after][u]) for u in UNIT_COLUMNS])
-    caption = "Calibrability of the documented machine in different units."
-    return make_section("Calibrability", text, (make_table(caption, columns, rows),))
+    caption = "Calibrability C = cond(JᵀJ) of the documented machine, poses eliminated (eq. 6), in different units."
+    return make_section("Calibrability", (), (make_table(caption, columns, rows),))
 
 
 def _published_values(tables: Tables, quantity: str) -> dict[str, float]:
@@ -139,12 +131,12 @@ def _published_values(tables: Tables, quantity: str) -> dict[str, float]:
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def _show_one(tables: Tables, summary: dict[str, Any]) -> Section:
+def _show_one(tables: Tables, summary: dict[str, Any]) -> PageSection:
     names, n, path = summary["sets"], summary["calibrations"], summary["path"]
     first = Figure(
         "parameters",
         f"After figure 4: deviation of calibrated parameters from the real ones, the paper's procedure. Dots: one "
-        f"calibration; squares: root mean square over {n}, with standard errors; grey: what was known beforehand.",
+        f"calibration; squares: root mean square over {n}, with standard errors; grey: what was known a priori.",
         partial(figures.draw_parameters, tables["parameters"], names),
     )
     second = Figure(
@@ -154,14 +146,10 @@ def _show_one(tables: Tables, summary: dict[str, Any]) -> Section:
         f"±{format_plain(path['angle_deg'])} deg, readings without noise; the paper's procedure. Mind the scales.",
         partial(figures.draw_path, tables["path"], names),
     )
-    text = (
-        "The published graphs are lost; these show the same quantities. One calibration is one throw of the dice: the "
-        "grey line is the root mean square over all.",
-    )
-    return make_section("One calibration", text, (), (first, second))
+    return make_section("One calibration", (), (), (first, second))
 
 
-def _show_errors(tables: Tables, summary: dict[str, Any]) -> Section:
+def _show_errors(tables: Tables, summary: dict[str, Any]) -> PageSection:
     factors: dict[str, list[float]] = {}
     for quantity in ("lengths", "guide_angles", "tool"):
         printed = _published_values(tables, quantity)
@@ -175,7 +163,7 @@ def _show_errors(tables: Tables, summary: dict[str, Any]) -> Section:
     )
     text = (
         "Every set and both procedures calibrate the same machines from the same noise. As in the paper: least "
-        "squares in metres and radians, all weighted alike, nothing known beforehand (eqs. 3 to 5). Bayesian: "
+        "squares in metres and radians, all weighted alike, nothing known a priori (eqs. 3 to 5). Bayesian: "
         f"weighted by the noise, tolerances as priors. The tool's centre is judged at {summary['verification_poses']} "
         "other poses of the workspace, located from readings without noise, which is the calibration's part, and "
         "from readings with noise, as in use. Lengths and guide angles are those that all sets calibrate.",
@@ -216,7 +204,7 @@ def _step_table(steps: pd.DataFrame) -> Table:
     return make_table("By which factors root mean square errors fall from set to set.", columns, rows)
 
 
-def _show_coverage(tables: Tables) -> Section:
+def _show_coverage(tables: Tables) -> PageSection:
     columns = [Column("Set", kind="text"), Column("Of", kind="text"), Column("Quantities"), Column("Covered", "%")]
     columns += [Column("lowest", "%", "Single quantities"), Column("highest", "%", "Single quantities")]
     columns += [Column("binomial se", "%", "Single quantities")]
@@ -241,7 +229,7 @@ def _show_coverage(tables: Tables) -> Section:
 # --- other machines, other noise -------------------------------------------------------------------------------------
 
 
-def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[Section]:
+def _show_machines(tables: Tables, summary: dict[str, Any]) -> list[PageSection]:
     if "machines" not in tables:
         return []
     ranges, counts = summary["ranges"], summary["machines"]
@@ -350,7 +338,7 @@ def _correlation_table(tables: Tables, summary: dict[str, Any]) -> Table:
     return make_table("How well the tool's error follows from C, and from its prediction.", columns, rows)
 
 
-def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[Section]:
+def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[PageSection]:
     if "sweep_steps" not in tables or tables["sweep_steps"].empty:
         return []
     assumed = sorted({float(one["noise"]) for one in summary["sensors"] if one["unit"] == "arcsec"})
@@ -368,7 +356,7 @@ def _show_sweep(tables: Tables, summary: dict[str, Any]) -> list[Section]:
     return [make_section("The angle sensors' noise", text, (), (figure,))]
 
 
-def _show_method(summary: dict[str, Any]) -> Section:
+def _show_method(summary: dict[str, Any]) -> PageSection:
     text = (
         "Symbols: s, position of a carriage on its guide; φ, angle of leg to carriage; ψ, angle of leg to platform; "
         "x_P and y_P, where a carriage reads zero; β, direction of a guide; l, length of a leg; ξ_B and η_B, its "
@@ -388,7 +376,7 @@ def _show_method(summary: dict[str, Any]) -> Section:
 def format_printed(value: float) -> str:
     """Return a published number with the digits that were printed."""
     if not math.isfinite(value) or abs(value) < 1e3:
-        return format_plain(value) if math.isfinite(value) else NOTHING
+        return format_plain(value) if math.isfinite(value) else NO_VALUE
     return format_power(value, 1)
 
 
@@ -430,12 +418,12 @@ def state_headline(tables: Tables, summary: dict[str, Any]) -> str:
         band = bands.get(f"{before} to {after}")
         printed = "" if band is None else f" (published {format_printed(band.value)})"
         ratio = format_significant(float(one["ratio"]), 2)
-        said.append(f"from {before} to {after} by a factor of {ratio}{printed}")
+        said.append(f"{ratio} from {before} to {after}{printed}")
     judged = tables.get("judged", pd.DataFrame())
     holds = (
         "" if judged.empty else ": the published pattern" + (" holds" if judged["reached"].all() else " fails in part")
     )
-    return f"The tool's error falls {join_words(said)}{holds}."
+    return f"The tool's error falls by a factor of {join_words(said)}{holds}."
 
 
 def state_verdict(tables: Tables, summary: dict[str, Any]) -> tuple[Statement, ...]:
@@ -453,22 +441,16 @@ def _judge_published(tables: Tables) -> list[Statement]:
     judged, statements = tables["judged"], []
     sets = judged[~judged["of"].str.contains(" to ")]
     if len(sets):
-        own = sets[sets["quantity"] == "calibrability"]
-        found = join_words([format_power(float(value)) for value in own["found"]])
-        printed = join_words([format_printed(float(value)) for value in own["published"]])
-        counts = sets[sets["quantity"] == "n_parameters"]
-        numbers = join_words([format_fixed(value, 0) for value in counts["found"]])
-        words = f"C = {found} with {join_words(list(own['of']))}, published {printed}; {numbers} parameters"
-        words += ", as published." if counts["reached"].all() else ", not as published."
-        statements.append(Statement(words, _level(sets), "Calibrability"))
+        n = int(sets["reached"].sum())
+        text = f"Sensor sets: {n} of {len(sets)} published figures (C, number of parameters) reached."
+        statements.append(Statement(text, _level(sets), "Calibrability", value=n, limit=len(sets)))
     for of, rows in judged[judged["of"].str.contains(" to ")].groupby("of", sort=False):
-        said = []
-        for _, row in rows.iterrows():
-            error = float(row["standard_error"])
-            value = format_power(float(row["found"])) if math.isnan(error) else _estimate(float(row["found"]), error)
-            missed = "" if row["reached"] else ", not reached"
-            said.append(f"{WORDS[str(row['quantity'])]} {value} (published {format_printed(row['published'])}{missed})")
-        statements.append(Statement(f"Factors of improvement: {join_words(said)}.", _level(rows), str(of).capitalize()))
+        tool = next((row for _, row in rows.iterrows() if row["quantity"] == "tool"), rows.iloc[0])
+        n, value = int(rows["reached"].sum()), float(tool["found"])
+        text = f"{n} of {len(rows)} factors reached; {WORDS[str(tool['quantity'])]} {format_power(value)}, published "
+        text += f"{format_printed(tool['published'])}."
+        lead, limit = str(of).capitalize(), float(tool["published"])
+        statements.append(Statement(text, _level(rows), lead, value=value, limit=limit))
     return statements
 
 
@@ -481,116 +463,77 @@ def _estimate(value: float, error: float) -> str:
 
 
 def _say_assumed(tables: Tables, summary: dict[str, Any]) -> Statement:
-    noise = join_words([f"{one['sensor']} {format_plain(one['noise'])} {one['unit']}" for one in summary["sensors"]])
-    words = f"Dimensions, poses, tolerances and noise are assumed, none of them published; noise here {noise}."
+    """Return at which noise of the angle sensors the tool's published factor comes out, as none is published."""
+    text = "Dimensions, poses, tolerances and noise are assumed"
     bands = {of: band for of, band in find_bands(tables, "tool").items() if band.value >= 10.0}
-    if "sweep_steps" not in tables or not bands:
-        return Statement(words, "warning", "Assumed")
-    sweep = tables["sweep_steps"]
-    for of, band in bands.items():
-        rows = sweep[(sweep["from"] + " to " + sweep["to"] == of) & (sweep["procedure"] == PAPER)]
-        rows = rows[rows["quantity"] == "tool"].sort_values("angle_noise_arcsec")
-        ratio, arcsec = rows["ratio"].to_numpy(), rows["angle_noise_arcsec"].to_numpy()
-        by = [f"{format_significant(r, 2)} at {format_plain(a)}" for a, r in zip(arcsec, ratio, strict=True)]
-        words += f" The factor from {of} is a matter of the angle sensors: the tool's is {join_words(by)} arcsec"
-        if ratio.min() < band.value < ratio.max():
-            at = float(np.exp(np.interp(-math.log(band.value), -np.log(ratio), np.log(arcsec))))
-            words += f", and passes {format_printed(band.value)} near {format_significant(at, 1)} arcsec"
-        error = float((rows["standard_error"] / rows["ratio"]).max())
-        words += f" (fewer calibrations than above, standard errors up to {format_percent(error)})."
-    return Statement(words, "warning", "Assumed")
+    if "sweep_steps" in tables:
+        sweep = tables["sweep_steps"]
+        for of, band in bands.items():
+            rows = sweep[(sweep["from"] + " to " + sweep["to"] == of) & (sweep["procedure"] == PAPER)]
+            rows = rows[rows["quantity"] == "tool"].sort_values("angle_noise_arcsec")
+            ratio, arcsec = rows["ratio"].to_numpy(), rows["angle_noise_arcsec"].to_numpy()
+            if ratio.min() < band.value < ratio.max():
+                at = float(np.exp(np.interp(-math.log(band.value), -np.log(ratio), np.log(arcsec))))
+                text += f"; the published factor comes out near {format_significant(at, 1)} arcsec angle noise"
+                return Statement(f"{text}.", "warning", "Assumed", value=at, unit="arcsec")
+    return Statement(f"{text}.", "warning", "Assumed")
 
 
 def _say_bayesian(tables: Tables, summary: dict[str, Any]) -> Statement:
-    errors, said = index_rows(tables["errors"], ["set", "procedure"]), []
-    for name in summary["sets"]:
-        paper, ours = (1e3 * errors[name, procedure]["tool"] for procedure in (PAPER, BAYESIAN))
-        said.append(f"{format_significant(paper)} to {format_significant(ours)} µm with {name}")
-    words = f"Noise as weights and tolerances as priors reduce the tool's error from {join_words(said)}"
-    if len(summary["sets"]) > 1:
-        pair = list_steps(summary["sets"])[0]
-        one = pick_step(tables["steps"], pair, "tool", BAYESIAN)
-        ratio = _estimate(float(one["ratio"]), float(one["standard_error"]))
-        words += f"; from {pair[0]} to {pair[1]} then gains a factor of {ratio} only"
-    before = tables["uncalibrated"]
-    if len(before):
-        words += f". Uncalibrated it is {format_significant(1e3 * float(before['tool'].iloc[0]))} µm"
-    return Statement(f"{words}.", "plain", "Bayesian procedure")
+    """Return what weights and priors make of the tool's error with the first set."""
+    errors, name = index_rows(tables["errors"], ["set", "procedure"]), summary["sets"][0]
+    paper, ours = (1e3 * errors[name, procedure]["tool"] for procedure in (PAPER, BAYESIAN))
+    text = f"Weights and priors reduce the tool's error with {name} from {format_significant(paper)} to "
+    text += f"{format_significant(ours)} µm."
+    return Statement(text, "plain", "Bayesian procedure", value=ours, limit=paper, unit="µm")
 
 
 def _judge_coverage(tables: Tables) -> Statement:
     rows = tables["coverage"]
     inside = rows["share"].between(*COVERED).all()
-    said = []
-    for name, ours in rows.groupby("set", sort=False):
-        one = index_rows(ours, ["of"])
-        parts = [
-            f"{format_estimate(100 * one[of]['share'], 100 * one[of]['standard_error'], 1)} % "
-            f"({'parameters' if of == 'parameters' else 'tool'})"
-            for of in ("parameters", "tool")
-        ]
-        said.append(f"{join_words(parts)} with {name}")
-    text = f"Intervals stated for 90 % hold the truth in {join_words(said)}."
-    return Statement(text, "good" if inside else "bad", "Coverage")
+    low, high = float(rows["share"].min()), float(rows["share"].max())
+    text = f"90 % intervals hold {format_percent(low, 1)} to {format_percent(high, 1)} of the true values."
+    return Statement(text, "good" if inside else "bad", "Coverage", value=low, limit=0.9)
 
 
 def _judge_failures(tables: Tables) -> list[Statement]:
     rows = tables["errors"][tables["errors"]["n_failed"] > 0]
     if rows.empty:
         return []
-    said = [f"{r['n_failed']} with {r['set']}, {r['procedure']} procedure" for _, r in rows.iterrows()]
-    return [Statement(f"Calibrations that did not converge and count in nothing: {join_words(said)}.", "warning")]
+    n = int(rows["n_failed"].sum())
+    return [Statement(f"{n} calibrations did not converge (excluded).", "warning", "Failed", value=n, limit=0.0)]
 
 
 def _say_machines(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
     if "machine_summary" not in tables:
         return []
     counts, rows = summary["machines"], index_rows(tables["machine_summary"], ["of", "quantity"])
-    words = f"Of {counts['drawn']} machines drawn, {counts['dropped']} do not reach their poses or cross their legs. "
-    said = []
+    text = f"{counts['kept']} of {counts['drawn']} machines drawn are feasible."
+    statements = [Statement(text, "plain", "Other machines", value=counts["kept"], limit=counts["drawn"])]
     for before, after in list_steps(summary["sets"]):
-        of = f"{before} to {after}"
-        parts = []
-        for quantity, word in (("metres_radians", "C"), ("lengths", "lengths"), ("tool", "tool's centre")):
-            one = rows[of, quantity]
-            part = f"{word} {format_power(one['p50'])} ({format_power(one['p05'])} to {format_power(one['p95'])})"
-            if not math.isnan(one["published"]):
-                part += f", {format_percent(one['share_within'])} count as published"
-            parts.append(part)
-        said.append(f"{of}, {'; '.join(parts)}")
-    words += (
-        f"Of the other {counts['kept']} the median factors, and the middle 90 %: {'. '.join(said)}." if said else ""
-    )
-    statements = [Statement(words, "plain", "Other machines")]
+        one = rows[f"{before} to {after}", "tool"]
+        middle, low, high = (format_power(one[key]) for key in ("p50", "p05", "p95"))
+        text = f"{before} to {after}: tool factor {middle} ({low} to {high})."
+        statements.append(Statement(text, "plain", "Other machines", value=one["p50"], limit=one["published"]))
     printed = tables["machine_summary"]
     printed = printed[printed["of"].isin(summary["sets"]) & printed["published"].notna()]
     if len(printed):
-        shares = join_words([f"{format_percent(r['share_below'])} ({r['of']})" for _, r in printed.iterrows()])
-        text = f"C itself belongs to the machine: {shares} of the plausible machines have one below that published"
         rare = not printed["share_below"].between(*COMMON).all()
-        text += (
-            ", so one with the published C is no typical one; the factors above come out without that choice."
-            if rare
-            else "."
-        )
-        statements.append(Statement(text, "warning" if rare else "plain", "C of other machines"))
+        least = printed.sort_values("share_below").iloc[0]
+        text = f"C below the published one: {format_percent(least['share_below'])} of the machines ({least['of']})."
+        value = float(least["share_below"])
+        statements.append(Statement(text, "warning" if rare else "plain", "C of other machines", value=value))
     return statements
 
 
 def _say_units(tables: Tables, summary: dict[str, Any]) -> Statement:
     table = index_rows(tables["calibrability"], ["set"])
-    words = "C compares a radian with a metre, and depends on both units"
-    units = {"metres_radians": "m, rad", "millimetres_radians": "mm, rad", "millimetres_degrees": "mm, deg"}
-    units["scaled"] = "noise and tolerances"
+    text, value = "C depends on the units of length and angle", math.nan
     if len(table) > 1:
         before, after = list_steps(summary["sets"])[0]
-        said = [f"{format_power(table[before][unit] / table[after][unit])} ({word})" for unit, word in units.items()]
-        words += f": the same step from {before} to {after} improves it by {join_words(said)}"
-    words += (
-        ". It says how much worse the worst combination of parameters is known than the best, not how well any is: "
-        "with all noise ten times as large C is the same and every error ten times as large."
-    )
-    return Statement(words, "warning", "Units")
+        value, scaled = (table[before][unit] / table[after][unit] for unit in ("metres_radians", "scaled"))
+        text += f": {before} to {after} {format_power(value)} (m, rad), {format_power(scaled)} (noise)"
+    return Statement(f"{text}.", "warning", "Units", value=value)
 
 
 def _say_predictors(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
@@ -600,19 +543,11 @@ def _say_predictors(tables: Tables, summary: dict[str, Any]) -> list[Statement]:
     every = index_rows(table[table["of"] == "tool"], ["set", "predictor"])
     rows = {key: float(row["correlation"]) for key, row in every.items()}
 
-    def say(predictor: str) -> str:
-        return join_words([f"{format_fixed(rows[name, predictor], 2)} ({name})" for name in summary["sets"]])
+    def find(predictor: str) -> float:
+        return min(rows[name, predictor] for name in summary["sets"])
 
-    better = [name for name in summary["sets"] if rows[name, "scaled"] > rows[name, "metres_radians"] + CLEAR]
-    worse = [name for name in summary["sets"] if rows[name, "scaled"] < rows[name, "metres_radians"] - CLEAR]
-    gains = f"better with {join_words(better)}" if better else "nowhere better"
-    gains += f", worse with {join_words(worse)}" if worse else ""
-    across = {predictor: format_fixed(rows["all", predictor], 2) for predictor in dict.fromkeys(table["predictor"])}
     text = (
-        f"Over the machines the tool's error correlates with C (metres, radians) by {say('metres_radians')}, with C in "
-        f"noise and tolerances by {say('scaled')}: {gains}. Across all sets it is {across['metres_radians']} against "
-        f"{across['scaled']}, and {across['scaled_alike']} where zeros of angle sensors count as known like guide "
-        f"angles: what scaled C tells hangs on their tolerance too. The error predicted to first order correlates by "
-        f"{across['tool_predicted']} and is in µm: plan with that."
+        f"Least correlation of the tool's error: {format_fixed(find('metres_radians'), 2)} with C, "
+        f"{format_fixed(find('scaled'), 2)} with scaled C, {format_fixed(find('tool_predicted'), 2)} predicted."
     )
-    return [Statement(text, "plain", "What C tells")]
+    return [Statement(text, "plain", "What C tells", value=find("metres_radians"), limit=find("tool_predicted"))]

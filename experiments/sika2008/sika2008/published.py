@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.files.csv_tables import CsvTable, read_table
 from sika2008.schema import SelfCalibrationsConfig
 
 SET_COLUMNS = ("set", "n_parameters", "calibrability")
@@ -60,7 +60,7 @@ def read_published(config: SelfCalibrationsConfig, folder: Path) -> Published:
     return Published(sets, steps)
 
 
-def _check_names(table: Table, column: str, names: list[str]) -> None:
+def _check_names(table: CsvTable, column: str, names: list[str]) -> None:
     for row, name in enumerate(table.text(column)):
         if name not in names:
             raise InputError(f"{table.where(row)}: {column}: found {name!r}, expected one of {', '.join(names)}")

@@ -7,7 +7,7 @@ machine tells of itself.
 C = cond(JᵀJ) (Šika et al. 2008, eq. 6; Valášek, Šika and Hamrle 2007), J these rows: its condition depends on the units
 in which lengths and angles are written, and so does C: in metres and radians it is not what it is in millimetres and
 degrees. In units of the noise and of the tolerances it has a meaning: C_scaled is the ratio of the best to the least
-known direction, in information gained for what was known beforehand.
+known direction, in information gained for what was known a priori.
 """
 
 from __future__ import annotations

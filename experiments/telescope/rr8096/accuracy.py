@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from bayescal.experiments.study.rows import ClaimRow
 from rr8096.evidence import (
     DEFORMATION_ORDER,
     REFERENCE,
     TITLES,
-    Claim,
     ClaimEvidence,
     ClaimRows,
     judge,
@@ -51,7 +51,7 @@ def jacobian_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     pairs = {d: [_position(evidence, f"{m}/{d}") for m in ("jacobian", REFERENCE)] for d in shared}
     ratios = {d: a / b for d, (a, b) in pairs.items()}
     worst = max(ratios.values())
-    yield Claim(
+    yield ClaimRow(
         claim="jacobian_accuracy",
         section="7.1.5",
         statement="The Jacobian-based model reaches the position accuracy of the 6-PUS.",
@@ -61,7 +61,7 @@ def jacobian_accuracy(evidence: ClaimEvidence) -> ClaimRows:
         value=worst,
         unit="1",
         verdict=judge(worst < 1.0 + SAME),
-        why=f"{POSTERIOR}, calibration poses; the largest ratio counts. The errors of linearisation are as large as "
+        reason=f"{POSTERIOR}, calibration poses; the largest ratio counts. The errors of linearisation are as large as "
         "the deformation, see linearisation.",
     )
 
@@ -78,7 +78,7 @@ def flexures_spherical(evidence: ClaimEvidence) -> ClaimRows:
         ratios = {d: _position(evidence, f"{model}/{d}") / _position(evidence, f"{REFERENCE}/{d}") for d in shared}
         largest = max(abs(x) for x in gains.values())
         close = all(abs(r - 1.0) < SAME for r in ratios.values())
-        yield Claim(
+        yield ClaimRow(
             claim=f"flexures_{model}",
             section="7.4, 8",
             statement=f"Flexures can be taken for spherical joints: the {TITLES[model]} model does no better than the "
@@ -89,7 +89,7 @@ def flexures_spherical(evidence: ClaimEvidence) -> ClaimRows:
             value=largest,
             unit="nats",
             verdict=judge(close and largest < EVIDENCE),
-            why=f"{POSTERIOR}; models differ where evidence does by {EVIDENCE:g} nats or errors by a tenth. Without "
+            reason=f"{POSTERIOR}; models differ where evidence does by {EVIDENCE:g} nats or errors by a tenth. Without "
             f"model error evidence differs by up to {max(abs(x) for x in alone):.1f}, by Laplace's approximation."
             f"{PERFECT if evidence.simulated else ''}",
         )
@@ -101,7 +101,7 @@ def same_none_linear(evidence: ClaimEvidence) -> ClaimRows:
         if not {"none", "linear"} <= set(evidence.deformations(model)):
             continue
         none, linear = (_position(evidence, f"{model}/{d}") for d in ("none", "linear"))
-        yield Claim(
+        yield ClaimRow(
             claim=f"same_none_linear_{model}",
             section="7.2",
             statement=f"Without deformation and with the linear one the {title} model is equally accurate.",
@@ -110,7 +110,7 @@ def same_none_linear(evidence: ClaimEvidence) -> ClaimRows:
             value=none / linear,
             unit="1",
             verdict=judge(abs(none / linear - 1.0) < SAME),
-            why=f"{POSTERIOR}, calibration poses, within a tenth.",
+            reason=f"{POSTERIOR}, calibration poses, within a tenth.",
         )
 
 
@@ -123,8 +123,8 @@ def matrix_gain(evidence: ClaimEvidence) -> ClaimRows:
     position = {use: [_position(evidence, name, use) for name in pair] for use in uses}
     orientation = {use: [_orientation(evidence, name, use=use) for name in pair] for use in uses}
     gain = position["calibration"][0] / position["calibration"][1]
-    why = f"{POSTERIOR}, 6-PUS.{TWIN if evidence.simulated else ''}"
-    yield Claim(
+    reason = f"{POSTERIOR}, 6-PUS.{TWIN if evidence.simulated else ''}"
+    yield ClaimRow(
         claim="matrix_position",
         section="7.3",
         statement="The matrix deformation does not improve position much over the linear one.",
@@ -133,10 +133,10 @@ def matrix_gain(evidence: ClaimEvidence) -> ClaimRows:
         value=gain,
         unit="1",
         verdict=judge(gain < 1.0 + SAME),
-        why=why + (" The real platform must have deformed in more ways than K." if evidence.simulated else ""),
+        reason=reason + (" The real platform must have deformed in more ways than K." if evidence.simulated else ""),
     )
     gain = orientation["calibration"][0] / orientation["calibration"][1]
-    yield Claim(
+    yield ClaimRow(
         claim="matrix_orientation",
         section="7.3",
         statement="The matrix deformation improves orientation over the linear one.",
@@ -145,7 +145,7 @@ def matrix_gain(evidence: ClaimEvidence) -> ClaimRows:
         value=gain,
         unit="1",
         verdict=judge(gain > 1.0 + SAME),
-        why=why,
+        reason=reason,
     )
 
 
@@ -154,7 +154,7 @@ def deformation_choice(evidence: ClaimEvidence) -> ClaimRows:
     if not {"linear", "matrix"} <= set(evidence.deformations(REFERENCE)):
         return
     linear, matrix = (float(evidence.variants[f"{REFERENCE}/{d}"]["log_evidence"]) for d in ("linear", "matrix"))
-    yield Claim(
+    yield ClaimRow(
         claim="deformation_choice",
         section="7.4",
         statement="Results of calibration cannot choose between the linear and the matrix deformation.",
@@ -163,7 +163,7 @@ def deformation_choice(evidence: ClaimEvidence) -> ClaimRows:
         value=matrix - linear,
         unit="nats",
         verdict=judge(abs(matrix - linear) < EVIDENCE),
-        why=f"6-PUS, model error free; {EVIDENCE:g} nats would be a preference.{TWIN if evidence.simulated else ''}",
+        reason=f"6-PUS, model error free; {EVIDENCE:g} nats would be a preference.{TWIN if evidence.simulated else ''}",
     )
 
 
@@ -177,7 +177,7 @@ def orientation_reached(evidence: ClaimEvidence) -> ClaimRows:
         for m in models
     }
     worst = max(largest.values())
-    yield Claim(
+    yield ClaimRow(
         claim="orientation_reached",
         section="7.3",
         statement="The linear deformation suffices for the desired orientation accuracy.",
@@ -186,7 +186,7 @@ def orientation_reached(evidence: ClaimEvidence) -> ClaimRows:
         value=worst,
         unit="deg",
         verdict=judge(worst < DESIRED_ORIENTATION),
-        why=f"{POSTERIOR}, all poses.",
+        reason=f"{POSTERIOR}, all poses.",
     )
 
 
@@ -207,7 +207,7 @@ def matrix_nearest(evidence: ClaimEvidence) -> ClaimRows:
     printed = ""
     if all(set(LENGTHS) <= set(table) for table in tables):
         printed = "; tables 5 to 7 (a) " + " / ".join(f"{rms(join(table, LENGTHS)):.2f}" for table in tables)
-    yield Claim(
+    yield ClaimRow(
         claim="matrix_nearest",
         section="7.4, 8",
         statement="With the matrix deformation the parameters come out nearest to nominal.",
@@ -216,7 +216,7 @@ def matrix_nearest(evidence: ClaimEvidence) -> ClaimRows:
         value=worst,
         unit="1",
         verdict=judge(worst < 1.0),
-        why=f"Posterior means of all lengths; the largest ratio counts.{TWIN if evidence.simulated else ''}",
+        reason=f"Posterior means of all lengths; the largest ratio counts.{TWIN if evidence.simulated else ''}",
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from scipy.special import logsumexp
@@ -14,8 +14,9 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.errors import drop_model_error
-from bayescal.experiments.shared.readings.seen_legs import SeenLegs
+from bayescal.experiments.shared.readings.instrument_poses import SeenLegs
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import ClaimRow
 from bayescal.files.csv_tables import read_matrix
 from bayescal.inference.mode import find_modes
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
@@ -31,9 +32,9 @@ REFERENCE = "six_pus"
 DEFORMATION_ORDER = ("none", "linear", "matrix")
 TITLES = {"six_pus": "6-PUS", "jacobian": "Jacobian-based", "beam": "beam theory-based", "stiffness": "stiffness"}
 PER_MILLE = 1e-3  # unit of K in a file
-HOLDS = "holds"
-FAILS = "does not hold"
-UNTESTABLE = "not testable"
+HOLDS: Final = "holds"
+FAILS: Final = "does not hold"
+UNTESTABLE: Final = "not testable"
 NEVER_MEASURED = "never measured"  # what the origin of a simulated survey says
 
 
@@ -92,7 +93,7 @@ class ClaimEvidence:
             all_poses=seen.measured.poses,
             target_noise=seen.measured.targets.noise,
             actuator_noise=config.measured.actuator_noise_um * MICROMETRE,
-            origin=name_origin(config.origin.model_dump()),
+            origin=name_origin(config.provenance.model_dump()),
             free={name: list_free(one) for name, one in own.items()},
             fits={name: fit for name, fit in fits.items() if name in own},
             variants={name: one for name, one in summary["variants"].items() if name in own},
@@ -139,7 +140,7 @@ class ClaimEvidence:
         theta : ndarray, shape (D,)
             Where it is linearised, at the poses that it holds itself.
         carrier : ndarray, shape (D,), optional
-            The machine of A⁰, in place of the nominal one.
+            The machine of A⁰, instead of the nominal one.
 
         Returns
         -------
@@ -195,7 +196,7 @@ def _find_matrix(inputs: StudyInputs, seen: SeenLegs) -> Array:
 
 def _weigh_alone(inputs: StudyInputs, variant: str) -> float:
     """Return the log-evidence of a variant without its model error, by Laplace's approximation at each mode."""
-    posterior = drop_model_error(inputs.variants[variant].posterior()).anchored()
+    posterior = drop_model_error(inputs.variants[variant].posterior()).with_pose_guesses()
     return float(logsumexp([mode.log_evidence for mode in find_modes(posterior)]))
 
 
@@ -204,46 +205,24 @@ def _by_symbol(values: Mapping[tuple[str, int], float]) -> dict[str, Array]:
     return {s: np.array([value for (symbol, _), value in values.items() if symbol == s]) for s in symbols}
 
 
-@dataclass(frozen=True)
-class Claim:
-    """One statement and what the study's own numbers say of it.
-
-    Attributes
-    ----------
-    claim : str
-        A short name.
-    section : str
-        Where RR-8096 says it, or "own" for a finding of this project.
-    statement, expected, found : str
-        The statement in own words, the number it gives and the number that came out, with units.
-    value : float
-        The number behind ``found``; NaN where there is none.
-    unit : str
-    verdict : str
-        ``holds``, ``does not hold`` or ``not testable``.
-    why : str
-        How it was tested, and what the verdict depends on.
-    """
-
-    claim: str
-    section: str
-    statement: str
-    expected: str
-    found: str
-    value: float
-    unit: str
-    verdict: str
-    why: str
+type ClaimRows = Iterator[ClaimRow]
 
 
-type ClaimRows = Iterator[Claim]
-
-
-def judge(holds: object) -> str:
+def judge(holds: object) -> Literal["holds", "does not hold"]:
     """Return the verdict of a test."""
     return HOLDS if holds else FAILS
 
 
-def untestable(claim: str, section: str, statement: str, expected: str, why: str) -> Claim:
+def untestable(claim: str, section: str, statement: str, expected: str, reason: str) -> ClaimRow:
     """Return a claim that the data cannot judge."""
-    return Claim(claim, section, statement, expected, "", float("nan"), "", UNTESTABLE, why)
+    return ClaimRow(
+        claim=claim,
+        section=section,
+        statement=statement,
+        expected=expected,
+        found="",
+        value=float("nan"),
+        unit="",
+        verdict=UNTESTABLE,
+        reason=reason,
+    )

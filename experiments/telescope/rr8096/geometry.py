@@ -8,12 +8,13 @@ import math
 import numpy as np
 
 from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.experiments.study.rows import ClaimRow
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.models.beam import CIRCLE, compute_beam_shift, compute_circle_shift, compute_shift
 from bayescal.machines.models.home import solve_home
 from bayescal.machines.models.legs import LegVectors, compute_leg_vectors
 from bayescal.numerics.geometry import Array
-from rr8096.evidence import REFERENCE, Claim, ClaimEvidence, ClaimRows, judge
+from rr8096.evidence import REFERENCE, ClaimEvidence, ClaimRows, judge
 
 MICRO = 1e3  # µm per mm
 MOTOR_ACCURACY = 1e-3  # mm
@@ -55,7 +56,7 @@ def motor_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     position = MICRO * float(np.linalg.norm(error[:, :3], axis=1).max())
     angle = float(np.degrees(np.linalg.norm(error[:, 3:], axis=1).max()))
     how = "Worst signs of all motors at the calibration poses, nominal 6-PUS."
-    yield Claim(
+    yield ClaimRow(
         claim="motor_accuracy_position",
         section="2.3",
         statement="Motors accurate to ±1 µm place the platform within 6 µm.",
@@ -64,9 +65,9 @@ def motor_accuracy(evidence: ClaimEvidence) -> ClaimRows:
         value=position,
         unit="µm",
         verdict=judge(round(position) <= 6),
-        why=how,
+        reason=how,
     )
-    yield Claim(
+    yield ClaimRow(
         claim="motor_accuracy_orientation",
         section="2.3",
         statement="Motors accurate to ±1 µm turn the platform by no more than 1e-6 deg.",
@@ -75,7 +76,7 @@ def motor_accuracy(evidence: ClaimEvidence) -> ClaimRows:
         value=angle,
         unit="deg",
         verdict=judge(angle < 1.5e-6),
-        why=f"{how} A micrometre over joints some 100 mm from the centre is 1e-5 rad.",
+        reason=f"{how} A micrometre over joints some 100 mm from the centre is 1e-5 rad.",
     )
 
 
@@ -85,7 +86,7 @@ def flexure_bending(evidence: ClaimEvidence) -> ClaimRows:
         return
     base, platform = (float(np.degrees(a.max())) for a in bending_angles(evidence, evidence.all_poses))
     largest = max(base, platform)
-    yield Claim(
+    yield ClaimRow(
         claim="flexure_bending",
         section="4.3",
         statement="No flexure is bent by more than 1 deg from the home pose.",
@@ -94,7 +95,7 @@ def flexure_bending(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="deg",
         verdict=judge(largest <= 1.0),
-        why="Identified 6-PUS at all measured poses; the nominal geometry is recovered from the report's tables, "
+        reason="Identified 6-PUS at all measured poses; the nominal geometry is recovered from the report's tables, "
         "not printed in it.",
     )
 
@@ -107,7 +108,7 @@ def circle(evidence: ClaimEvidence) -> ClaimRows:
     length = float(flexures.lengths.max())
     along, across = compute_beam_shift(np.radians(np.array([1.0])), length)
     error = 1e6 * abs(float((compute_circle_shift(across, CIRCLE * length) - along)[0]))
-    yield Claim(
+    yield ClaimRow(
         claim="circle",
         section="4.3",
         statement="A circle of radius 3/4 l_b follows the end of a bent flexure up to 1 deg.",
@@ -116,7 +117,7 @@ def circle(evidence: ClaimEvidence) -> ClaimRows:
         value=error,
         unit="nm",
         verdict=judge(error < 1e-3 * 1e6 * float(along[0])),
-        why=f"Eqs. (12) and (13) with l_b = {length:g} mm; visible would be a part in a thousand.",
+        reason=f"Eqs. (12) and (13) with l_b = {length:g} mm; visible would be a part in a thousand.",
     )
 
 
@@ -130,7 +131,7 @@ def fixed_directions(evidence: ClaimEvidence) -> ClaimRows:
     other = solve_inverse_kinematics(fixed, theta, pose.position, pose.rotation)
     difference = MICRO * float(np.abs(other.actuators - actuators).max())
     noise = MICRO * evidence.target_noise
-    yield Claim(
+    yield ClaimRow(
         claim="fixed_directions",
         section="5.2",
         statement="Stiffness matrices need not follow the legs: the actuators would differ by less than the "
@@ -140,15 +141,15 @@ def fixed_directions(evidence: ClaimEvidence) -> ClaimRows:
         value=difference,
         unit="µm",
         verdict=judge(difference < noise),
-        why="Models stiffness and stiffness_fixed at all configurations, nominal. Kept directions miss that a leaning "
-        "leg reaches less far, whatever its stiffness.",
+        reason="Models stiffness and stiffness_fixed at all configurations, nominal. Kept directions miss that a "
+        "leaning leg reaches less far, whatever its stiffness.",
     )
 
 
 def leg_tilt(evidence: ClaimEvidence) -> ClaimRows:
     """Section 6.3.1: legs lean by no more than 0.6 degrees."""
     tilt = float(np.degrees(bending_angles(evidence, evidence.poses)[0].max()))
-    yield Claim(
+    yield ClaimRow(
         claim="leg_tilt",
         section="6.3.1",
         statement="No leg leans by more than 0.6 deg from where it stood at home.",
@@ -157,8 +158,8 @@ def leg_tilt(evidence: ClaimEvidence) -> ClaimRows:
         value=tilt,
         unit="deg",
         verdict=judge(tilt < 0.65),
-        why="Identified 6-PUS at the calibration poses, which reach the corners of the motors' range; 0.6 deg may be "
-        "meant for the smaller workspace of table 1.",
+        reason="Identified 6-PUS at the calibration poses, which reach the corners of the motors' range; 0.6 deg may "
+        "be meant for the smaller workspace of table 1.",
     )
 
 
@@ -169,7 +170,7 @@ def constant_lambda(evidence: ClaimEvidence) -> ClaimRows:
     base = MICRO * float(np.ptp(axis[..., 2], axis=0).max())
     platform = MICRO * float(np.ptp(np.einsum("pik,pk->pi", axis, evidence.poses.rotation[..., 2]), axis=0).max())
     noise, largest = MICRO * evidence.target_noise, max(base, platform)
-    yield Claim(
+    yield ClaimRow(
         claim="constant_lambda",
         section="6.3.1",
         statement="For the measurement noise z_i · z_0 and z_i · z_E are one constant λ.",
@@ -178,8 +179,8 @@ def constant_lambda(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="µm per mm",
         verdict=judge(largest < noise),
-        why="Identified 6-PUS at the calibration poses. What hides a_z and b_z is that a_x, a_y, b_x and b_y follow, "
-        "see one_of_lengths.",
+        reason="Identified 6-PUS at the calibration poses. What hides a_z and b_z is that a_x, a_y, b_x and b_y "
+        "follow, see one_of_lengths.",
     )
 
 
@@ -189,7 +190,7 @@ def least_configurations(evidence: ClaimEvidence) -> ClaimRows:
         return
     unknown = PARAMETERS_PER_LEG * evidence.mechanism.n_legs + STIFFNESS_PARAMETERS
     enough, surplus = math.ceil(unknown / 6), unknown // 6 + 1
-    yield Claim(
+    yield ClaimRow(
         claim="least_configurations",
         section="6.3.3",
         statement="Ten parameters per leg and six of stiffness take at least 12 measured poses.",
@@ -198,7 +199,7 @@ def least_configurations(evidence: ClaimEvidence) -> ClaimRows:
         value=float(surplus),
         unit="poses",
         verdict=judge(surplus == 12),
-        why="Counting six equations for each pose; least squares wants more equations than unknowns.",
+        reason="Counting six equations for each pose; least squares wants more equations than unknowns.",
     )
 
 
@@ -215,7 +216,7 @@ def derivative_factor(evidence: ClaimEvidence) -> ClaimRows:
     moved[1][column] += step
     low, high = (machine.linearise(t, poses.position, poses.rotation, poses.actuators).residual for t in moved)
     factor = float(np.sum((high - low) / (2 * step) * axis[..., 0]) / np.sum(axis[..., 0] ** 2))
-    yield Claim(
+    yield ClaimRow(
         claim="derivative_factor",
         section="6.3.1",
         statement="The derivative of the 6-PUS objective by a_x is half the leg's direction (eqs. 34 and 37).",
@@ -224,7 +225,7 @@ def derivative_factor(evidence: ClaimEvidence) -> ClaimRows:
         value=factor,
         unit="1",
         verdict=judge(abs(factor - 0.5) < 1e-3),
-        why="Central differences of eq. (30) at the calibration poses: the factor 1/2 is a misprint.",
+        reason="Central differences of eq. (30) at the calibration poses: the factor 1/2 is a misprint.",
     )
 
 
@@ -238,7 +239,7 @@ def jacobian_sign(evidence: ClaimEvidence) -> ClaimRows:
     minus = linear.linearise(theta, pose.position, pose.rotation, actuators).residual
     plus = 2.0 * (actuators - evidence.mechanism.initial_actuator_positions) - minus
     small, large = (float(np.sqrt(np.mean(r**2))) for r in (minus, plus))
-    yield Claim(
+    yield ClaimRow(
         claim="jacobian_sign",
         section="6.1.2",
         statement="ρ - ρ^0 + J_0⁻¹ (X - X^0) vanishes where the machine stands (eq. 31).",
@@ -247,7 +248,7 @@ def jacobian_sign(evidence: ClaimEvidence) -> ClaimRows:
         value=large,
         unit="mm",
         verdict=judge(large < small),
-        why="Nominal 6-PUS at the calibration configurations: eq. (31) carries a sign slip against eq. (9).",
+        reason="Nominal 6-PUS at the calibration configurations: eq. (31) carries a sign slip against eq. (9).",
     )
 
 
@@ -262,7 +263,7 @@ def parasitic_shift(evidence: ClaimEvidence) -> ClaimRows:
     both = float(np.abs(base + platform).max())
     for place, shift in (("base", base), ("platform", platform)):
         largest = float(np.abs(shift).max())
-        yield Claim(
+        yield ClaimRow(
             claim=f"parasitic_shift_{place}",
             section="7.1.3",
             statement=f"The shift of the flexures at the {place} varies by less than 0.3 µm.",
@@ -271,8 +272,8 @@ def parasitic_shift(evidence: ClaimEvidence) -> ClaimRows:
             value=largest,
             unit="µm",
             verdict=judge(largest < 0.3),
-            why=f"Eqs. (16) and (17) at all measured poses with the assumed l_b = {lengths.max():g} mm; either way a "
-            f"tenth of the noise of {MICRO * evidence.target_noise:g} µm.",
+            reason=f"Eqs. (16) and (17) at all measured poses with the assumed l_b = {lengths.max():g} mm; either way "
+            f"a tenth of the noise of {MICRO * evidence.target_noise:g} µm.",
         )
 
 
@@ -286,7 +287,7 @@ def linearisation(evidence: ClaimEvidence) -> ClaimRows:
     residual = MICRO * linear.linearise(theta, pose.position, pose.rotation, actuators).residual
     largest, rms = float(np.abs(residual).max()), float(np.sqrt(np.mean(residual**2)))
     noise = MICRO * evidence.target_noise
-    yield Claim(
+    yield ClaimRow(
         claim="linearisation",
         section="7.1.5",
         statement="The workspace is so small that the Jacobian of the home pose does as well as the 6-PUS.",
@@ -295,7 +296,7 @@ def linearisation(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="µm",
         verdict=judge(largest < noise),
-        why="Both models nominal at all configurations; identification takes up a part of it, see jacobian_accuracy.",
+        reason="Both models nominal at all configurations; identification takes up part of it, see jacobian_accuracy.",
     )
 
 
@@ -308,16 +309,16 @@ def deflection_direction(evidence: ClaimEvidence) -> ClaimRows:
     travel = evidence.poses.actuators - evidence.mechanism.initial_actuator_positions
     off = np.linalg.norm(evidence.poses.rotation[..., 2] - np.array([0.0, 0.0, 1.0]), axis=-1)
     error = MICRO * float(np.abs(kappa * travel * off[:, None]).max())
-    yield Claim(
+    yield ClaimRow(
         claim="deflection_direction",
         section="7.2",
-        statement="A deflection may be taken along z_0 in place of the platform's own axis.",
+        statement="A deflection may be taken along z_0 instead of the platform's own axis.",
         expected="an error of less than 1 µm",
         found=f"up to {error:.2f} µm",
         value=error,
         unit="µm",
         verdict=judge(error < 1.0),
-        why="κ by least squares, calibration poses.",
+        reason="κ by least squares, calibration poses.",
     )
 
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayescal.experiments.study.rows import ClaimRow
 from bayescal.machines.kinematics import Machine
 from bayescal.numerics.geometry import Array
-from rr8096.evidence import REFERENCE, Claim, ClaimEvidence, ClaimRows, judge
+from rr8096.evidence import REFERENCE, ClaimEvidence, ClaimRows, judge
 from rr8096.geometry import MICRO
 from rr8096.identified import POINTS
 from rr8096.least_squares import identify
@@ -38,7 +39,7 @@ def one_of_lengths(evidence: ClaimEvidence) -> ClaimRows:
     together = compute_contraction(evidence, machine, (*free, "a_z", "b_z"), LENGTHS)
     alone = compute_contraction(evidence, machine, LENGTHS, LENGTHS)
     first, second = float(together[:, 0].min()), float(together[:, 1].max())
-    yield Claim(
+    yield ClaimRow(
         claim="one_of_lengths",
         section="6.3.1",
         statement="Of a_z, b_z and l of a leg only one can be identified.",
@@ -47,7 +48,7 @@ def one_of_lengths(evidence: ClaimEvidence) -> ClaimRows:
         value=second,
         unit="1",
         verdict=judge(first > IDENTIFIED > second),
-        why=f"{HOW}; {RULE} Were a_x, a_y, b_x, b_y known, all three could be told "
+        reason=f"{HOW}; {RULE} Were a_x, a_y, b_x, b_y known, all three could be told "
         f"({_percent(float(alone[:, -1].min()))} or more): λ is not constant enough to explain it alone.",
     )
 
@@ -67,7 +68,7 @@ def null_direction(evidence: ClaimEvidence) -> ClaimRows:
             rest = change - others @ np.linalg.lstsq(others, change, rcond=None)[0]
             alone, followed = max(alone, np.abs(change).max()), max(followed, np.abs(rest).max())
     alone, followed = MICRO * float(alone), MICRO * float(followed)
-    yield Claim(
+    yield ClaimRow(
         claim="null_direction",
         section="6.3.1",
         statement="A millimetre along the two hidden combinations of a_z, b_z and l changes no leg length noticeably.",
@@ -76,7 +77,7 @@ def null_direction(evidence: ClaimEvidence) -> ClaimRows:
         value=followed,
         unit="µm",
         verdict=judge(followed < noise),
-        why="Identified 6-PUS at the calibration poses.",
+        reason="Identified 6-PUS at the calibration poses.",
     )
 
 
@@ -86,7 +87,7 @@ def parameters_per_leg(evidence: ClaimEvidence) -> ClaimRows:
     if machine is None:
         return
     fit, n_legs = identify(machine, evidence.poses, EVERYTHING), evidence.mechanism.n_legs
-    yield Claim(
+    yield ClaimRow(
         claim="parameters_per_leg",
         section="7.1.1",
         statement="Six parameters of a leg can be identified.",
@@ -96,7 +97,7 @@ def parameters_per_leg(evidence: ClaimEvidence) -> ClaimRows:
         value=fit.n_identified / n_legs,
         unit="1",
         verdict=judge(fit.n_identified == 6 * n_legs),
-        why="All of a, b, u, l and ρ^0 free in the 6-PUS: directions a unit of which, 1 mm or 0.01, moves the "
+        reason="All of a, b, u, l and ρ^0 free in the 6-PUS: directions a unit of which, 1 mm or 0.01, moves the "
         "residuals by more than their noise.",
     )
 
@@ -139,9 +140,9 @@ def kappa_and_direction(evidence: ClaimEvidence) -> ClaimRows:
         )
 
 
-def _one_of_two(claim: str, section: str, statement: str, contraction: Array, why: str) -> Claim:
+def _one_of_two(claim: str, section: str, statement: str, contraction: Array, reason: str) -> ClaimRow:
     first, second = float(contraction[:, 0].min()), float(contraction[:, 1].max())
-    return Claim(
+    return ClaimRow(
         claim=claim,
         section=section,
         statement=statement,
@@ -151,7 +152,7 @@ def _one_of_two(claim: str, section: str, statement: str, contraction: Array, wh
         value=second,
         unit="1",
         verdict=judge(first > IDENTIFIED > second),
-        why=f"{HOW}; {RULE} {why}",
+        reason=f"{HOW}; {RULE} {reason}",
     )
 
 
@@ -167,7 +168,7 @@ def initial_positions(evidence: ClaimEvidence) -> ClaimRows:
         "Singular values of JᵀJ of the Jacobian-based closure at its identified parameters and the calibration poses; "
         "absolute, in mm (u without unit)"
     )
-    yield Claim(
+    yield ClaimRow(
         claim="initial_positions_free",
         section="7.1.2",
         statement="With ρ^0 free six singular values of JᵀJ are under 1e-14.",
@@ -177,10 +178,10 @@ def initial_positions(evidence: ClaimEvidence) -> ClaimRows:
         value=float(null),
         unit="1",
         verdict=judge(null == evidence.mechanism.n_legs),
-        why=f"{how}. A joint moved along its leg, with ρ^0 and l, leaves the model as it is.",
+        reason=f"{how}. A joint moved along its leg, with ρ^0 and l, leaves the model as it is.",
     )
     smallest = float(held[-1])
-    yield Claim(
+    yield ClaimRow(
         claim="initial_positions_held",
         section="7.1.2",
         statement="Without ρ^0 the smallest singular value of JᵀJ is 1e-4.",
@@ -189,7 +190,7 @@ def initial_positions(evidence: ClaimEvidence) -> ClaimRows:
         value=smallest,
         unit="1",
         verdict=judge(round(np.log10(smallest)) == -4),
-        why=f"{how}, to the order of ten. In metres it would be {_singular_values_in_metres(evidence, machine):.0e}.",
+        reason=f"{how}, to the order of ten. In metres it is {_singular_values_in_metres(evidence, machine):.0e}.",
     )
 
 
@@ -218,7 +219,7 @@ def beam_parameters(evidence: ClaimEvidence) -> ClaimRows:
     if machine is None:
         return
     largest = float(compute_contraction(evidence, machine, (*WITH_DIRECTION, "beta", "l_b"), ("beta", "l_b")).max())
-    yield Claim(
+    yield ClaimRow(
         claim="beam_parameters",
         section="7.1.3",
         statement="Neither β nor the length l_b of the flexures can be identified.",
@@ -227,7 +228,7 @@ def beam_parameters(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="1",
         verdict=judge(largest < IDENTIFIED),
-        why=f"{HOW}, 0.1 for β; {RULE} Beam model without deformation.",
+        reason=f"{HOW}, 0.1 for β; {RULE} Beam model without deformation.",
     )
 
 
@@ -237,7 +238,7 @@ def stiffness_parameters(evidence: ClaimEvidence) -> ClaimRows:
     if machine is None:
         return
     largest = float(compute_contraction(evidence, machine, (*WITH_DIRECTION, *STIFFNESSES), STIFFNESSES).max())
-    yield Claim(
+    yield ClaimRow(
         claim="stiffness_parameters",
         section="7.1.4",
         statement="None of the six stiffness parameters can be identified.",
@@ -246,7 +247,7 @@ def stiffness_parameters(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="1",
         verdict=judge(largest < IDENTIFIED),
-        why=f"{HOW}; {RULE} Stiffness model without deformation. The report's own objective is least for no "
+        reason=f"{HOW}; {RULE} Stiffness model without deformation. The report's own objective is least for no "
         "stiffness at all, so that it cannot identify any either.",
     )
 
@@ -264,7 +265,7 @@ CLAIMS = (
 
 
 def tolerance_of(machine: Machine) -> Array:
-    """Return the standard deviation (D,) within which each parameter is known beforehand."""
+    """Return the standard deviation (D,) within which each parameter is known a priori."""
     layout = machine.layout
     sd = np.empty(layout.size)
     for block in layout.blocks:
@@ -289,7 +290,7 @@ def compute_contraction(
     chosen : sequence of str
         The parameters to look at, in all directions of their common space.
     carrier : ndarray, shape (D,), optional
-        The machine by which the noise reaches the legs, in place of the nominal one.
+        The machine by which the noise reaches the legs, instead of the nominal one.
 
     Returns
     -------

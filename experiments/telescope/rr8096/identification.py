@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bayescal.experiments.study.rows import ClaimRow
 from bayescal.machines.kinematics import Machine, compute_home_legs
 from bayescal.numerics.geometry import Array, compute_pose_error
 from rr8096.evidence import (
@@ -13,7 +14,6 @@ from rr8096.evidence import (
     REFERENCE,
     TITLES,
     UNTESTABLE,
-    Claim,
     ClaimEvidence,
     ClaimRows,
     judge,
@@ -61,7 +61,7 @@ def insensitive_to_start(evidence: ClaimEvidence) -> ClaimRows:
             other = identify(machine, evidence.poses, evidence.free[name], start)
             worst = max(worst, float(np.abs((other.theta - fit.theta)[free] / sd[free]).max()))
     if names:
-        yield Claim(
+        yield ClaimRow(
             claim="insensitive_to_start",
             section="7",
             statement="What is identified does not depend on the initial parameters.",
@@ -70,8 +70,8 @@ def insensitive_to_start(evidence: ClaimEvidence) -> ClaimRows:
             value=round(worst, 3),
             unit="tolerances",
             verdict=judge(worst < 1e-3),
-            why="6-PUS variants. With u_x free each leg has a second minimum in the mirrored direction, hardly worse; "
-            "both are tried.",
+            reason="6-PUS variants. With u_x free each leg has a second minimum in the mirrored direction, hardly "
+            "worse; both are tried.",
         )
 
 
@@ -82,7 +82,7 @@ def choice_of_direction(evidence: ClaimEvidence) -> ClaimRows:
         return
     x, y = (_residual_with(evidence, machine, axis) for axis in (0, 1))
     change = abs(rms(y) / rms(x) - 1.0)
-    yield Claim(
+    yield ClaimRow(
         claim="choice_of_direction",
         section="7.1.1",
         statement="Which component of u is identified does not change the result.",
@@ -91,8 +91,8 @@ def choice_of_direction(evidence: ClaimEvidence) -> ClaimRows:
         value=change,
         unit="1",
         verdict=judge(change < SAME),
-        why=f"Least squares of the 6-PUS without deformation, the better of a leg's two directions each; single legs "
-        f"differ by up to {MICRO * float(np.abs(x - y).max()):.2f} µm.",
+        reason=f"Least squares of the 6-PUS without deformation, the better of a leg's two directions each; single "
+        f"legs differ by up to {MICRO * float(np.abs(x - y).max()):.2f} µm.",
     )
 
 
@@ -115,7 +115,7 @@ def initial_positions_accuracy(evidence: ClaimEvidence) -> ClaimRows:
     free = (*POINTS, "l", "u_x")
     held, more = (identify(machine, evidence.poses, symbols).residual_rms for symbols in (free, (*free, "rho0")))
     change = abs(rms(more) / rms(held) - 1.0)
-    yield Claim(
+    yield ClaimRow(
         claim="initial_positions_accuracy",
         section="7.1.2",
         statement="Identifying ρ^0 as well does not change the accuracy of the Jacobian-based model.",
@@ -124,7 +124,7 @@ def initial_positions_accuracy(evidence: ClaimEvidence) -> ClaimRows:
         value=round(change, 9),
         unit="1",
         verdict=judge(change < SAME),
-        why="Least squares without deformation.",
+        reason="Least squares without deformation.",
     )
 
 
@@ -138,7 +138,7 @@ def directions_far(evidence: ClaimEvidence) -> ClaimRows:
     found = evidence.offsets(name)["u_x"]
     tolerance = float(tolerance_of(machine)[machine.layout.index["u_x"][0]])
     largest = float(np.abs(found).max())
-    yield Claim(
+    yield ClaimRow(
         claim="directions_far",
         section="7.1.5",
         statement="Without deformation u_x is identified far from nominal, beyond what manufacturing allows.",
@@ -147,7 +147,7 @@ def directions_far(evidence: ClaimEvidence) -> ClaimRows:
         value=largest,
         unit="1",
         verdict=judge(largest > FAR * tolerance),
-        why=f"Least squares of the 6-PUS; far is beyond {tolerance:g}.",
+        reason=f"Least squares of the 6-PUS; far is beyond {tolerance:g}.",
     )
 
 
@@ -167,16 +167,16 @@ def same_parameters(evidence: ClaimEvidence) -> ClaimRows:
     if all(set(OTHERS) <= set(evidence.published.get(name, {})) for name in pair):
         five, six = (join(evidence.published[name], OTHERS) for name in pair)
         expected = f"{rms(five - six):.3f} mm rms apart (published)"
-    yield Claim(
+    yield ClaimRow(
         claim="same_parameters",
         section="7.2",
-        statement="The other parameters hardly change when κ is identified in place of u_x.",
+        statement="The other parameters hardly change when κ is identified instead of u_x.",
         expected=expected,
         found=f"{rms(none - linear):.3f} mm rms apart, {rms(none):.2f} mm rms from nominal",
         value=share,
         unit="1",
         verdict=judge(share < SAME),
-        why=f"{', '.join(OTHERS)} of the 6-PUS by least squares; a_x follows u_x, see home_joint.",
+        reason=f"{', '.join(OTHERS)} of the 6-PUS by least squares; a_x follows u_x, see home_joint.",
     )
 
 
@@ -193,7 +193,7 @@ def home_joint(evidence: ClaimEvidence) -> ClaimRows:
         implied = _regress(published, -tables[0]["u_x"])
         ours = _regress(none["a_x"] - linear["a_x"], -none["u_x"])
         worst = float(np.abs(published + rho0 * tables[0]["u_x"]).max())
-        yield Claim(
+        yield ClaimRow(
             claim=f"home_joint_{model}",
             section="own",
             statement=f"Tables 5 and 6, {TITLES[model]}: a_x differs by -ρ^0 u_x, leg by leg, since the joint at the "
@@ -203,8 +203,8 @@ def home_joint(evidence: ClaimEvidence) -> ClaimRows:
             value=implied,
             unit="mm",
             verdict=judge(abs(implied / rho0.mean() - 1.0) < SAME),
-            why=f"Regression of the difference of a_x on -u_x; single legs are off by up to {worst:.2f} mm, rounding "
-            "of the printed u_x alone makes 0.05 mm."
+            reason=f"Regression of the difference of a_x on -u_x; single legs are off by up to {worst:.2f} mm, "
+            "rounding of the printed u_x alone makes 0.05 mm."
             + ("" if abs(implied) > SAME * rho0.mean() else " They look as if ρ^0 were 0 in the published model."),
         )
 
@@ -235,7 +235,7 @@ def direction_takes_kappa(evidence: ClaimEvidence) -> ClaimRows:
     tables = [evidence.published.get(name, {}) for name in pair]
     if "u_x" in tables[0] and "kappa" in tables[1]:
         printed = f"; published {1e3 * compare(tables[0]['u_x'], tables[1]['kappa'])[1]:.1f}e-3"
-    yield Claim(
+    yield ClaimRow(
         claim="direction_takes_kappa",
         section="7.2",
         statement="Without a deformation model u_x takes the part of κ: both set how far a joint goes along its leg.",
@@ -244,7 +244,7 @@ def direction_takes_kappa(evidence: ClaimEvidence) -> ClaimRows:
         value=apart / size,
         unit="1",
         verdict=judge(apart < SAME * size),
-        why="Least squares of the 6-PUS, legs of the nominal home pose.",
+        reason="Least squares of the 6-PUS, legs of the nominal home pose.",
     )
 
 
@@ -256,7 +256,7 @@ def orientation_without_equilibrium(evidence: ClaimEvidence) -> ClaimRows:
     errors = [_pose_errors(evidence, name) for name in pair]
     (p_pus, o_pus), (p_stiff, o_stiff) = errors
     ratio = o_stiff / o_pus
-    yield Claim(
+    yield ClaimRow(
         claim="orientation_without_equilibrium",
         section="7.1.5",
         statement="Orientation comes out better where static equilibrium is left out.",
@@ -266,9 +266,9 @@ def orientation_without_equilibrium(evidence: ClaimEvidence) -> ClaimRows:
         value=ratio,
         unit="1",
         verdict=judge(ratio > 1.0 + SAME),
-        why="Least squares of each model's own objective, without deformation, calibration poses. It is the objective: "
-        "in newtons and newton metres it weighs position over orientation. With one density for all models the "
-        "difference is gone, see flexures_stiffness.",
+        reason="Least squares of each model's own objective, without deformation, calibration poses. It is the "
+        "objective: in newtons and newton metres it weighs position over orientation. With one density for all models "
+        "the difference is gone, see flexures_stiffness.",
     )
 
 
@@ -312,7 +312,7 @@ def stiffness_objective(evidence: ClaimEvidence) -> ClaimRows:
         shifts = {name: rms(values - base) for name, values in found.items()}
         apart = {name: rms(values - published) for name, values in found.items()}
         alike = {name: float(np.corrcoef(values - base, moved)[0, 1]) for name, values in found.items()}
-        yield Claim(
+        yield ClaimRow(
             claim=f"stiffness_objective_table{table}",
             section="own",
             statement=f"Table {table}(d) differs from table {table}(a) for its objective, newtons and newton metres "
@@ -326,8 +326,8 @@ def stiffness_objective(evidence: ClaimEvidence) -> ClaimRows:
             verdict=UNTESTABLE
             if shifts["wrench"] < SAME * rms(moved)
             else judge(alike["wrench"] > FOLLOWS and apart["wrench"] < apart["leg"]),
-            why=f"Least squares; the published move is {rms(moved):.2f} mm rms, that with the objective in N and N m "
-            f"{shifts['wrench']:.2f}, in leg lengths {shifts['leg']:.2f}. The assumed stiffness "
+            reason=f"Least squares; the published move is {rms(moved):.2f} mm rms, that with the objective in N and N "
+            f"m {shifts['wrench']:.2f}, in leg lengths {shifts['leg']:.2f}. The assumed stiffness "
             "matters little, legs being alike. Where the deformation is right the objective hardly matters: a move of "
             "less than a tenth of the published one tests nothing.",
         )
@@ -357,7 +357,7 @@ def beam_kappa(evidence: ClaimEvidence) -> ClaimRows:
     (a, c), (ours, beam) = (t["kappa"] for t in tables), (evidence.offsets(name)["kappa"] for name in pair)
     printed, found = float(a @ c / (a @ a)), float(ours @ beam / (ours @ ours))
     lengths = (*POINTS, "l")
-    yield Claim(
+    yield ClaimRow(
         claim="beam_kappa",
         section="own",
         statement="Table 7(c) prints Δκ of the beam model about ten times too small.",
@@ -366,7 +366,7 @@ def beam_kappa(evidence: ClaimEvidence) -> ClaimRows:
         value=printed,
         unit="1",
         verdict=judge(abs(found - 1.0) < 0.1 and 0.05 < printed < 0.2),
-        why="Regression of (c) on (a). Its lengths are off as well: "
+        reason="Regression of (c) on (a). Its lengths are off as well: "
         f"{rms(join(tables[1], lengths) - join(tables[0], lengths)):.2f} mm rms from table 7(a) as published, "
         f"{rms(join(evidence.offsets(pair[1]), lengths) - join(evidence.offsets(pair[0]), lengths)):.3f} mm by least "
         "squares.",

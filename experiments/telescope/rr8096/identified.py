@@ -9,8 +9,9 @@ import pandas as pd
 
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.study.inputs import StudyInputs
+from bayescal.experiments.study.rows import PublishedParameterRow
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import legs_of
+from bayescal.machines.readings import as_legs
 from bayescal.numerics.units import MICROMETRE
 from rr8096.least_squares import LeastSquaresFit, identify, list_identified
 from rr8096.published import FILES, N_LEGS, read_published
@@ -22,7 +23,7 @@ FREE = {"none": {*POINTS, "l", "u_x"}, "linear": {*POINTS, "l", "kappa"}, "matri
 
 def machine_of(variant: Variant) -> Machine:
     """Return the mechanism as a variant sees it."""
-    legs = legs_of(variant.whole)
+    legs = as_legs(variant.whole)
     assert legs is not None
     return legs.machine
 
@@ -70,17 +71,17 @@ def tabulate_least_squares(inputs: StudyInputs, fits: Mapping[str, LeastSquaresF
                 offset = fit.theta[k] - machine.layout.nominal[k]
                 known = printed.get((symbol, leg), np.nan)
                 rows.append(
-                    {
-                        "variant": name,
-                        "parameter": symbol,
-                        "leg": leg,
-                        "unit": machine.layout.units[k],
-                        "nominal": machine.layout.nominal[k],
-                        "offset": offset,
-                        "published_offset": known,
-                        "difference": offset - known,
-                        "leg_residual_rms_um": fit.residual_rms[leg - 1] / MICROMETRE,
-                        "converged": fit.converged,
-                    }
+                    PublishedParameterRow(
+                        variant=name,
+                        parameter=symbol,
+                        leg=leg,
+                        unit=machine.layout.units[k],
+                        nominal=machine.layout.nominal[k],
+                        offset=offset,
+                        published_offset=known,
+                        difference=offset - known,
+                        leg_residual_rms_um=fit.residual_rms[leg - 1] / MICROMETRE,
+                        converged=fit.converged,
+                    )
                 )
-    return pd.DataFrame(rows)
+    return PublishedParameterRow.collect(rows)

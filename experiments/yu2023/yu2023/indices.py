@@ -16,8 +16,8 @@ import pandas as pd
 from scipy.stats import t as student
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.files.csv_tables import read_table
 from bayescal.numerics.geometry import Array
 from yu2023.least_squares import Weighting

@@ -14,7 +14,7 @@ from bayescal.report.blocks import (
     Figure,
     Level,
     Page,
-    Section,
+    PageSection,
     Statement,
     Table,
     make_section,
@@ -24,7 +24,6 @@ from bayescal.report.numbers import (
     format_estimate,
     format_fixed,
     format_percent,
-    format_plain,
     format_significant,
     join_words,
 )
@@ -51,7 +50,7 @@ RATIO_NAMES = {
     "attitude_mean_deg": "Attitude, mean",
     "parameter_rms_mm": "Parameters, rms",
 }
-type PageParts = tuple[str, tuple[Statement, ...], tuple[Section, ...]]
+type PageParts = tuple[str, tuple[Statement, ...], tuple[PageSection, ...]]
 """Headline, verdict and sections of a page."""
 
 
@@ -75,11 +74,7 @@ def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
     gain, error = _estimate_gain(table)
     gains = "gain accuracy, where none is published" if gain > 1.0 + 2.0 * error else "gain nothing, as published"
     verdict = (_judge_equality(summary), _judge_gain(table, gain, error), _describe_powers(summary))
-    text = (
-        ANGLES,
-        "The published figure is a graph without numbers and the numbers of poses are not printed; beside it stand its "
-        "two conclusions. Every repeat has its own noise, shared by both sets of poses, and its own random set.",
-    )
+    text = (ANGLES,)
     caption = (
         "Integrated error over the verification poses, after figure 10. The diamond is where the paper's conclusion "
         "puts the curve of random poses."
@@ -90,17 +85,13 @@ def show_numbers(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
 
 
 def _judge_equality(summary: dict[str, Any]) -> Statement:
-    enough, fewest = summary["random_poses_as_good"], summary["fewest_selected"]
-    published = f"Published: {fewest} selected poses do about as well as {figures.RANDOM_AS_GOOD} random ones. "
+    enough, fewest, lead = summary["random_poses_as_good"], summary["fewest_selected"], "Selected or random"
+    published = f"as good as {fewest} selected poses; published {figures.RANDOM_AS_GOOD}"
     if enough is None:
-        return Statement(f"{published}Not reached: {summary['most_random']} random ones do worse.", "warning")
-    ratio = format_fixed(summary["random_ratio"], 2)
+        return Statement(f"More than {summary['most_random']} random poses are {published}.", "warning", lead)
     near = abs(enough - figures.RANDOM_AS_GOOD) <= 10
-    return Statement(
-        f"{published}{'Confirmed' if near else 'Not reached'}: the mean error of {enough} random ones is {ratio} times "
-        f"that of {fewest} selected ones.",
-        "good" if near else "warning",
-    )
+    text = f"{enough} random poses are {published}."
+    return Statement(text, "good" if near else "warning", lead, value=enough, limit=figures.RANDOM_AS_GOOD)
 
 
 def _estimate_gain(table: pd.DataFrame) -> tuple[float, float]:
@@ -112,31 +103,21 @@ def _estimate_gain(table: pd.DataFrame) -> tuple[float, float]:
 
 
 def _judge_gain(table: pd.DataFrame, gain: float, error: float) -> Statement:
-    """Say whether more selected poses gain something, and how easily one calibration each hides it."""
+    """Return whether more selected poses gain something."""
     rows = table[(table["poses"] == "optimal") & (table["weighting"] == "unweighted")].to_dict("records")
-    first, last = rows[0], rows[-1]
-    no_better = [f"{format_percent(r['share_no_better'])} at {r['n_poses']}" for r in rows[1:] if r["n_poses"] <= 50]
-    hidden = (
-        f" The chance of one calibration each can hide it at first, hardly later: one with more poses does no better "
-        f"than one with {first['n_poses']} in {', '.join(no_better)}."
-        if no_better
-        else ""
-    )
     falls = gain > 1.0 + 2.0 * error
-    return Statement(
-        f"Published: more selected poses change the error little. {'Not confirmed' if falls else 'Confirmed'}: from "
-        f"{first['n_poses']} to {last['n_poses']} the mean error falls by a factor of {format_estimate(gain, error)}."
-        f"{hidden}",
-        "warning" if falls else "good",
+    text = (
+        f"From {rows[0]['n_poses']} to {rows[-1]['n_poses']} selected poses the error falls by a factor of "
+        f"{format_estimate(gain, error)}; published: little."
     )
+    return Statement(text, "warning" if falls else "good", "More poses", value=gain, limit=1.0)
 
 
 def _describe_powers(summary: dict[str, Any]) -> Statement:
-    optimal, random = (format_fixed(summary[f"{m}_unweighted_power"], 2) for m in ("optimal", "random"))
-    return Statement(
-        f"The mean error falls as the number of poses to the power {optimal} (selected) and {random} (random); "
-        f"{format_fixed(-0.5, 2)} is what more measurements of the same kind give."
-    )
+    optimal, random = (summary[f"{m}_unweighted_power"] for m in ("optimal", "random"))
+    powers = f"{format_fixed(optimal, 2)} (selected), {format_fixed(random, 2)} (random)"
+    text = f"Error ∝ number of poses to the power {powers}."
+    return Statement(text, lead="Power", value=optimal, limit=-0.5)
 
 
 def _number_table(table: pd.DataFrame) -> Table:
@@ -177,27 +158,33 @@ def show_indices(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pa
     is_best = [c for c, i in leads.items() if i == first]
     headline = _write_headline(table, leads, first)
     chances = best[(best["unit"] == UNIT) & (best["index"] == first)]
-    single = [f"{format_percent(r['share_best'])} in {r['condition']}" for _, r in chances.iterrows()]
+    single = {str(r["condition"]): float(r["share_best"]) for _, r in chances.iterrows()}
+    least, everywhere = min(single, key=lambda name: single[name]), summary["share_first_best_everywhere"]
+    machines, noise = summary["spread_over_machines"], summary["spread_over_noise"]
     verdict = [
         _judge_rivals(best, first),
         Statement(
-            f"The chance that one draw of the noise and one selection name {first} best: {join_words(single)}; in all "
-            f"conditions at once {format_percent(summary['share_first_best_everywhere'])}.",
+            f"P({first} is best in one draw): least {format_percent(single[least])} ({least}); everywhere "
+            f"{format_percent(everywhere)}.",
             "good" if len(is_best) == len(leads) else "warning",
+            "Chance",
+            value=everywhere,
         ),
         Statement(
-            "A table from one draw of the noise is chance to a large part: over parameter sets with the same noise "
-            f"the integrated error varies by {format_percent(summary['spread_over_machines'])}, over draws of the "
-            f"noise by {format_percent(summary['spread_over_noise'])}. Parameter sets average the former only."
+            f"Scatter of the integrated error: {format_percent(machines)} over machines, {format_percent(noise)} over "
+            "draws of the noise.",
+            lead="Chance",
+            value=noise,
+            limit=machines,
         ),
     ]
     verdict += _judge_magnitudes(summary)
     if summary["failed"]:
-        verdict.append(Statement(f"{summary['failed']} calibrations did not converge and are left out.", "warning"))
+        verdict.append(Statement(f"{summary['failed']} calibrations did not converge (excluded).", "warning", "Failed"))
     return headline, tuple(verdict), (_show_table4(tables), _show_best(tables, summary))
 
 
-def _show_table4(tables: dict[str, pd.DataFrame]) -> Section:
+def _show_table4(tables: dict[str, pd.DataFrame]) -> PageSection:
     table = tables["table4"]
     one = (
         "After figure 5: 100 parameter sets, all with one draw of the noise, as in the paper; first selections. The "
@@ -216,7 +203,7 @@ def _show_table4(tables: dict[str, pd.DataFrame]) -> Section:
     )
 
 
-def _show_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
+def _show_best(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
     best = tables["best"]
     text = (
         "Machines and noise are the same for all indices. Intervals are Student's 95 % over the selections, which "
@@ -255,25 +242,16 @@ def _write_headline(table: pd.DataFrame, leads: dict[str, str], first: str) -> s
 
 
 def _judge_rivals(best: pd.DataFrame, first: str) -> Statement:
-    """Say how the strongest rival of the first index compares, with its interval."""
+    """Return how the strongest rival of the first index compares."""
     ours = best[(best["unit"] == UNIT) & (best["index"] != first)]
     closest = ours.loc[ours.groupby("condition", sort=False)["ratio"].idxmin()]
-    words = [
-        f"{r['index']} in {r['condition']} {format_fixed(r['ratio'], 2)} ({format_fixed(r['low'], 2)} to "
-        f"{format_fixed(r['high'], 2)})"
-        for _, r in closest.iterrows()
-    ]
-    beaten = closest[closest["high"] < 1.0]
-    says = (
-        f"so {first} is beaten in {join_words([str(c) for c in beaten['condition']])}"
-        if len(beaten)
-        else f"so {first} is beaten nowhere"
+    worst = closest.sort_values("ratio").iloc[0]
+    beaten = [str(c) for c in closest[closest["high"] < 1.0]["condition"]]
+    text = (
+        f"{first} is beaten in {join_words(beaten) if beaten else 'no condition'}; closest {worst['index']} in "
+        f"{worst['condition']}: error ratio {format_fixed(worst['ratio'], 2)}."
     )
-    return Statement(
-        f"Mean errors of the closest rival by those of {first}, 95 % intervals over selections: {join_words(words)}; "
-        f"{says}.",
-        "warning" if len(beaten) else "good",
-    )
+    return Statement(text, "warning" if beaten else "good", "Rivals", value=float(worst["ratio"]), limit=1.0)
 
 
 def _judge_magnitudes(summary: dict[str, Any]) -> list[Statement]:
@@ -284,20 +262,19 @@ def _judge_magnitudes(summary: dict[str, Any]) -> list[Statement]:
     ratio, inside, count = here["published_by_found_deg"], summary["published_inside"], summary["published"]
     reached = 0.8 < ratio < 1.25 and inside >= 0.9 * count
     found = Statement(
-        f"{'Reached' if reached else 'Not reached'}: published errors are {format_significant(ratio)} times those "
-        f"found with attitude in degrees ({format_significant(here['published_by_found_rad'])} times in radians), and "
-        f"{inside} of {count} lie in the middle 95 % of the draws. They scatter about this factor by "
-        f"{format_percent(here['published_by_found_deg_scatter'])}, single draws of the noise about their mean by "
-        f"{format_percent(summary['spread_over_noise'])}.",
+        f"Published errors / found: {format_significant(ratio)}; {inside} of {count} in the middle 95 %.",
         "good" if reached else "warning",
+        "Published errors",
+        value=ratio,
+        limit=1.0,
     )
     why = [
         Statement(
-            "The paper does not print the workspace of this machine. In one of "
-            f"{format_percent(other['scale'])} the width and tilt, published errors are "
-            f"{format_significant(other['published_by_found_deg'])} times those found in degrees (scatter "
-            f"{format_percent(other['published_by_found_deg_scatter'])}), and {summary['first_index']} is best "
-            f"everywhere in {format_percent(other['share_first_best_everywhere'])} of the draws."
+            f"In a workspace of {format_percent(other['scale'])} (not printed): published errors / found "
+            f"{format_significant(other['published_by_found_deg'])}.",
+            lead="Workspace",
+            value=other["published_by_found_deg"],
+            limit=1.0,
         )
         for other in others
     ]
@@ -384,11 +361,11 @@ def show_accuracy(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> P
     )
     verdict = [_judge_parameters(summary), _judge_convergence(summary)]
     if "published" in summary:
-        verdict = [_judge_published(tables["table8"], summary), _judge_reductions(tables["reductions"]), *verdict]
+        verdict = [_judge_published(summary), _judge_reductions(tables["reductions"]), *verdict]
     return headline, tuple(verdict), (_show_table8(tables), _show_weights(tables), _show_one(tables, summary))
 
 
-def _show_table8(tables: dict[str, pd.DataFrame]) -> Section:
+def _show_table8(tables: dict[str, pd.DataFrame]) -> PageSection:
     table = tables["table8"]
     plain = table[table["weighting"] == "unweighted"]
     caption = "Table 8's figures over the repeats; published ones dashed, in the colour of their poses."
@@ -399,18 +376,15 @@ def _show_table8(tables: dict[str, pd.DataFrame]) -> Section:
     return make_section("Selected poses against random ones", text, shown, (figure,))
 
 
-def _show_weights(tables: dict[str, pd.DataFrame]) -> Section:
+def _show_weights(tables: dict[str, pd.DataFrame]) -> PageSection:
     table, ratios = tables["table8"], tables["ratios"]
     weighted = table[table["weighting"] == "weighted"].drop(columns=["published", "share_below"], errors="ignore")
-    text = (
-        "The paper counts a millimetre as much as a radian, so that the angles, whose noise in radians is far smaller "
-        "than that of the positions in mm, are nearly ignored. Divided by their noise both count for what they tell.",
-    )
+    text = ("Unweighted, as in the paper, a millimetre counts as much as a radian.",)
     title = "Errors at the verification poses, weighted by the noise."
     return make_section("What weights gain", text, (_ratio_table(ratios), _error_table(weighted, title)))
 
 
-def _show_one(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Section:
+def _show_one(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
     steps = (
         "After figure 8: errors of the first hardpoint's parameters over the iterations, first repeat; the published "
         "calibration ended at the diamonds, table 7 less table 6."
@@ -427,71 +401,39 @@ def _estimate(row: pd.DataFrame) -> str:
     return format_estimate(float(row["ratio"].iloc[0]), float(row["standard_error"].iloc[0]))
 
 
-def _judge_published(table: pd.DataFrame, summary: dict[str, Any]) -> Statement:
-    rows = table.dropna(subset=["published"])
-    outside = rows[(rows["published"] < rows["low"]) | (rows["published"] > rows["high"])]
+def _judge_published(summary: dict[str, Any]) -> Statement:
     count, inside, middle = (summary[k] for k in ("published", "published_in_range", "published_in_middle"))
-    text = (
-        f"Table 8: {inside} of {count} published figures lie in the range of the repeats, {middle} in the middle 95 %"
-    )
+    text = f"Table 8: {inside} of {count} published figures in the range of the repeats, {middle} in the middle 95 %."
     level: Level = "good" if inside == count else "warning"
-    if outside.empty:
-        return Statement(f"{text}.", level)
-    names = [
-        f"{r['poses']} poses' {ERRORS[str(r['figure'])]} ({format_percent(r['share_below'])} of the repeats below it)"
-        for _, r in outside.iterrows()
-    ]
-    share = format_percent(summary["share_with_as_many_outside"])
-    return Statement(
-        f"{text}; outside are the {join_words(names)}. That is what one repeat may do: {share} of the repeats have as "
-        f"many of their own {count} outside.",
-        level,
-    )
+    return Statement(text, level, "Table 8", value=inside, limit=count)
 
 
 def _judge_reductions(reductions: pd.DataFrame) -> Statement:
-    words = [
-        f"{ERRORS[str(r['figure'])]} {format_percent(r['published'])} published, {format_percent(r['median'])} found "
-        f"({format_percent(r['low'])} to {format_percent(r['high'])})"
-        for _, r in reductions.iterrows()
-    ]
-    inside = ((reductions["published"] >= reductions["low"]) & (reductions["published"] <= reductions["high"])).all()
-    return Statement(
-        f"By how much selected poses reduce errors, median and middle 95 % of the repeats: {'; '.join(words)}. The "
-        "paper's text gives the reductions of its largest errors as those of the means.",
-        "good" if inside else "warning",
-    )
+    within = (reductions["published"] >= reductions["low"]) & (reductions["published"] <= reductions["high"])
+    n, inside = len(within), int(within.sum())
+    text = f"Reductions of errors by selected poses: {inside} of {n} published ones in the middle 95 %."
+    return Statement(text, "good" if inside == n else "warning", "Reductions", value=inside, limit=n)
 
 
 def _judge_parameters(summary: dict[str, Any]) -> Statement:
     rms = summary["parameter_rms_mm"]
-    text = (
-        f"Table 7: parameters are identified to {format_significant(rms['mean'])} mm rms, "
-        f"{format_range(rms['low'], rms['high'])} in the middle 95 % of the repeats"
-    )
+    text = f"Table 7: parameter error {format_significant(rms['mean'])} mm rms"
     published = summary.get("published_parameter_rms_mm")
     if published is None:
-        return Statement(f"{text}.")
-    inside = rms["low"] <= published <= rms["high"]
-    scaled = format_fixed(summary["published_parameter_rms_sd"], 2)
-    return Statement(
-        f"{text}; published {format_significant(published)}, in sd over the repeats {scaled} rms.",
-        "good" if inside else "warning",
-    )
+        return Statement(f"{text}.", lead="Table 7", value=rms["mean"], unit="mm")
+    level: Level = "good" if rms["low"] <= published <= rms["high"] else "warning"
+    text = f"{text}; published {format_significant(published)} mm."
+    return Statement(text, level, "Table 7", value=rms["mean"], limit=published, unit="mm")
 
 
 def _judge_convergence(summary: dict[str, Any]) -> Statement:
     changes = summary["largest_change_mm"]
-    said = [format_plain(change, 1) for change in changes]
     settled = len(changes) >= PUBLISHED_ITERATIONS and (
         changes[PUBLISHED_ITERATIONS - 1] < SETTLED * summary["parameter_rms_mm"]["mean"]
     )
-    return Statement(
-        f"Figure 8: published, settled after three iterations; {'confirmed' if settled else 'not confirmed'}: the "
-        f"largest corrections are {', '.join(said)} mm, and after {summary['iterations']} at the latest no repeat "
-        "changes by more than a millionth of a millimetre.",
-        "good" if settled else "warning",
-    )
+    text = f"Figure 8: {'settled' if settled else 'not settled'} after {PUBLISHED_ITERATIONS} iterations, as published."
+    text = text if settled else text.replace("as published", "unlike published")
+    return Statement(text, "good" if settled else "warning", "Figure 8", limit=PUBLISHED_ITERATIONS)
 
 
 def _error_table(table: pd.DataFrame, caption: str) -> Table:

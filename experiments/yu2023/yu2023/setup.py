@@ -11,7 +11,7 @@ import numpy as np
 
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from bayescal.files.csv_tables import read_by_leg
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, build_machine, check_home_pose

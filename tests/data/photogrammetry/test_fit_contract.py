@@ -184,7 +184,7 @@ def test_least_squares_that_are_refused_name_the_noise_stated_and_seen(rng):
 
 def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):
     config = studies.write_tiny_study(tmp_path)
-    studies.edit(config, "target_noise_um = 3.0", 'target_noise_um = 3.0\npose_method = "least_squares"')
+    studies.edit(config, "target_noise_um = 3.0", 'target_noise_um = 3.0\npose_estimator = "least_squares"')
     robust = studies.write_tiny_study(tmp_path / "robust")
     plain, other = (studies.load_study(one).seen.measured.poses for one in (config, robust))
     sd = np.sqrt(np.diagonal(plain.covariance, axis1=1, axis2=2))[:, :3]

@@ -10,8 +10,8 @@ import pytest
 from bayescal import Channel, Coordinate, ParameterBlock, ReadingMachine
 from bayescal.density.calibration.likelihood import CalibrationLikelihood
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.model_error import OwnChannels, build_model_error
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.model_error import OwnChannelRows, build_model_error
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.machines.readings import FunctionModel
 
 N_ROWS = 30
@@ -49,9 +49,9 @@ def test_an_error_of_the_reading_itself_is_rewarded_for_explaining_nothing(of_re
     if of_reading:
         positions = replace(positions, positions=values)
     used, reach = np.ones(N_ROWS, dtype=bool), np.array([25.0, 25.0, 0.0, 0.0])
-    own = OwnChannels.find(model, data, pose, used, positions, reach)
+    own = OwnChannelRows.find(model, data, pose, used, positions, reach)
     own = replace(own, covered=~np.eye(2, dtype=bool))  # lead errors alone, no couplings
-    errors = Errors(build_model_error(own, 4, ("linear",), (0.01, 0.02), {}, each=False))
+    errors = ErrorModel(build_model_error(own, 4, ("linear",), (0.01, 0.02), {}, each=False))
     likelihood = CalibrationLikelihood(model, data, 50.0**2, pose)
     sizes = np.linspace(0.0, 6.0, 40)[:, None]  # up to many times the range
     right = likelihood.density(np.ones((1, 2)), errors, np.array([[-3.0]]))[0]

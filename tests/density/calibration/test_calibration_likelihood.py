@@ -329,8 +329,8 @@ def test_machines_near_the_anchor_need_no_derivatives_and_others_are_exact(case,
         "functions": {"terms": (line_functions(),), "n_poses": 30},
     }
     plain, *_ = lines_posterior(rng, **choices.get(case, {}))
-    posterior = plain.anchored()
-    mode = plain.approach()
+    posterior = plain.with_pose_guesses()
+    mode = plain.least_squares_start()
     _, hessian = posterior.gradient(mode)
     move = np.linalg.solve(np.linalg.cholesky(-hessian).T, rng.standard_normal((len(mode), 40))).T
     near, far = mode + move, mode + 30.0 * move[:5]
@@ -351,7 +351,7 @@ def test_an_expansion_that_was_not_tried_is_not_used(star):
 
 
 def test_parameters_that_did_not_differ_in_the_trials_may_not_differ(rng):
-    posterior = lines_posterior(rng)[0].anchored()
+    posterior = lines_posterior(rng)[0].with_pose_guesses()
     expansion = posterior.likelihood.expansion
     theta = expansion.anchor + 1e-6 * np.eye(len(expansion.anchor))
     assert 0 < len(expansion.free) < len(theta)

@@ -82,7 +82,7 @@ def test_fit_is_least_squares_over_parameters_and_poses_together(case, rng):
     np.testing.assert_allclose(y, joint[:n], rtol=0, atol=1e-6)
     np.testing.assert_allclose(at, joint[n:poses].reshape(-1, 2), rtol=0, atol=1e-6)
     away = y + np.where(np.arange(n) < posterior.n_geometry, 0.1, 0.0)
-    np.testing.assert_allclose(posterior.polish(away), y, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(posterior.refine_geometry(away), y, rtol=0, atol=1e-6)
 
 
 def test_fit_finds_poses_beside_a_constraint(rng):
@@ -137,7 +137,7 @@ def test_fit_says_where_there_is_no_machine(rng):
         fit_jointly(posterior, np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
 
 
-@pytest.mark.parametrize("correlation", [None, MIXED], ids=["independent", "correlated"])
+@pytest.mark.parametrize("correlation", [None, MIXED], ids=["random", "correlated"])
 def test_each_noise_governs_its_share_of_the_information(correlation, rng):
     """The information of the first group's readings grows with their precision, that of the others stays.
 
@@ -145,7 +145,7 @@ def test_each_noise_governs_its_share_of_the_information(correlation, rng):
     """
     posterior, y, _ = lines_posterior(rng, terms=unknown_noise(4), correlation=correlation)
     m, step = posterior.n_geometry, 1e-3
-    funnel = posterior.funnel(y)
+    funnel = posterior.scale_dependence(y)
     assert funnel.parts.shape == (2, m, m)
     information = -posterior.gradient(y)[1][:m, :m] - np.eye(m)
     np.testing.assert_allclose(funnel.parts.sum(axis=0), information, rtol=0, atol=1e-9 * information.max())

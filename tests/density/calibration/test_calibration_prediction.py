@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 from bayescal.density.calibration.prediction import predict_poses, predict_readings
-from bayescal.density.calibration.terms import NO_ERRORS, Errors
+from bayescal.density.calibration.terms import NO_ERRORS, ErrorModel
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.inference.importance import resample
@@ -42,7 +42,7 @@ def linear_problem(rng, correlation, nu=np.inf):
     data = measurements(rng.standard_normal((3, 6)), sd, correlation)
     likelihood = density(model, data)
     priors = {"d[1]": NormalPrior(0.0, 1e-9)}
-    return Posterior(likelihood, priors, Errors((), rows_of(nu))), sd
+    return Posterior(likelihood, priors, ErrorModel((), rows_of(nu))), sd
 
 
 @pytest.mark.parametrize("nu", [np.inf, 4.0])
@@ -129,7 +129,7 @@ def test_angles_are_predicted_the_short_way_round(rng):
 
 def draw_posterior(posterior, rng, n=400):
     """Return draws (n, m) of a posterior by importance, and by how much of the proposal they came."""
-    posterior = posterior.anchored()
+    posterior = posterior.with_pose_guesses()
     y, factor = climb(posterior)
     proposal = MixtureProposal(np.ones(1), y[None], 1.05 * factor[None], 8.0)
     return posterior, resample(posterior.log_density, proposal, rng, 4 * n, n)
@@ -180,8 +180,8 @@ def test_poses_that_an_instrument_saw_lie_where_intervals_say(rng):
     theta_free = np.isin(np.arange(len(theta)), posterior.sampling.free)
     fixed = dict(zip(machine.layout.names, np.where(theta_free, machine.layout.nominal, theta), strict=True))
     fixed = {name: value for name, value in fixed.items() if name not in posterior.names}
-    posterior = replace(posterior, fixed=fixed).anchored()
-    mode = find_mode(posterior, posterior.polish(posterior.approach()))
+    posterior = replace(posterior, fixed=fixed).with_pose_guesses()
+    mode = find_mode(posterior, posterior.refine_geometry(posterior.least_squares_start()))
     y = mode.y + rng.standard_normal((200, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
     held = machines.measure(machine, other, {}).likelihood
     by, seen = np.arange(12) < 6, list(range(6, 12))

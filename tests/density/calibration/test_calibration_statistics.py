@@ -18,7 +18,7 @@ from calibration_problems import (
     simulate,
 )
 
-from bayescal.density.calibration.terms import Errors, ModelErrorTerm, NoiseFactor
+from bayescal.density.calibration.terms import ErrorModel, ModelErrorTerm, NoiseFactor
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.importance import resample
@@ -51,7 +51,7 @@ def linear_problem(rng, nu=np.inf, correlation=None):
     pose = 3.0 * rng.standard_normal((8, 2))
     sd = np.array([0.5, 0.4, 0.3, 0.5, 0.5])
     empty = density(model, measurements(np.zeros((8, 5)), sd, correlation))
-    blank = Posterior(empty, priors, Errors(terms, rows_of(nu)))
+    blank = Posterior(empty, priors, ErrorModel(terms, rows_of(nu)))
     y = rng.standard_normal(4)
     data = replace(blank.likelihood.data, values=simulate(blank, y, pose, rng))
     return replace(blank, likelihood=density(model, data)), y
@@ -96,7 +96,7 @@ def test_ranks_of_a_point_on_lines_are_uniform(case, rng):
     ranks = []
     for _ in range(150):
         posterior, y, _ = lines_posterior(rng, n_poses=15, terms=terms, **case)
-        ranks.append((draw(posterior.anchored(), rng) < y).sum(axis=0))
+        ranks.append((draw(posterior.with_pose_guesses(), rng) < y).sum(axis=0))
     found = p_values(np.array(ranks))
     assert found[-1] > 0.01
     assert (found > 0.01 / len(found)).all()

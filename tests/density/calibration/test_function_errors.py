@@ -13,7 +13,7 @@ from sliding_platforms import SETS
 
 from bayescal.density.calibration.functions import FunctionErrors, Travel
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import Errors, NoiseFactor
+from bayescal.density.calibration.terms import ErrorModel, NoiseFactor
 from bayescal.density.elimination import project_out
 from bayescal.density.priors import OFF, LogNormalPrior, build_kernel
 from bayescal.errors import InputError
@@ -53,12 +53,14 @@ def functions_of(likelihood, kernel, length, spread, of="reading") -> FunctionEr
 
 def structured(kernel, length, spread, n_poses=N_POSES, of="reading") -> CalibrationPosterior:
     plain = small_posterior(SETS[8], n_poses, 5)
-    return replace(plain, errors=Errors((functions_of(plain.likelihood, kernel, length, spread, of),)))
+    return replace(plain, errors=ErrorModel((functions_of(plain.likelihood, kernel, length, spread, of),)))
 
 
 def some_coordinates(posterior, rng, n=3):
     """Return coordinates about the best machine, the last of which has one switch off."""
-    y = posterior.polish(np.zeros(posterior.n_parameters)) + 1e-3 * rng.standard_normal((n, posterior.n_parameters))
+    y = posterior.refine_geometry(np.zeros(posterior.n_parameters)) + 1e-3 * rng.standard_normal(
+        (n, posterior.n_parameters)
+    )
     y[:, posterior.n_geometry :] += 0.5 * rng.standard_normal((n, posterior.n_parameters - posterior.n_geometry))
     y[-1, posterior.n_geometry] = OFF + 0.3
     return y
@@ -144,8 +146,8 @@ def test_the_expected_curvature_of_scales_and_noise_is_that_of_drawn_rows(rng):
     """Scores of errors that are drawn as the density says have the stated information as their covariance."""
     plain = structured("quadratic", 2.0, 0.5)
     noise = NoiseFactor("s", np.arange(8) < 4, 0.5)
-    posterior = replace(plain, errors=Errors((noise, *plain.errors.terms)))
-    y = posterior.polish(np.zeros(posterior.n_parameters))
+    posterior = replace(plain, errors=ErrorModel((noise, *plain.errors.terms)))
+    y = posterior.refine_geometry(np.zeros(posterior.n_parameters))
     m, data = posterior.n_geometry, posterior.likelihood.data
     white, at = posterior.likelihood.explain(*posterior.at(y[None]))
     columns = posterior.likelihood.columns(posterior.errors, posterior.zeta(y[None]), white, at.slope)[0]
@@ -170,9 +172,9 @@ def test_a_switched_off_error_is_none_and_a_jump_switches_it(rng):
     y[:, m:] = OFF
     alone = plain.log_density(y[:, :m]) - 3.0 * np.log(2.0 * np.sqrt(2.0 * np.pi))
     np.testing.assert_allclose(posterior.log_density(y), alone, rtol=1e-12)
-    for jump, image in posterior.jumps(y[0]):
+    for jump, image in posterior.mode_candidates(y[0]):
         assert list(np.flatnonzero(image != y[0])) == [jump]
-        np.testing.assert_array_equal(dict(posterior.jumps(image))[jump], y[0])
+        np.testing.assert_array_equal(dict(posterior.mode_candidates(image))[jump], y[0])
 
 
 def test_coefficients_tell_the_functions(rng):
@@ -186,7 +188,7 @@ def test_coefficients_tell_the_functions(rng):
     spoilt = replace(
         likelihood, data=replace(likelihood.data, values=likelihood.data.values + columns @ drawn), start=start
     )
-    without = replace(posterior, errors=Errors((term,)))
+    without = replace(posterior, errors=ErrorModel((term,)))
     other = replace(without, likelihood=spoilt)
     assert 0.5 < measure_deviation(other, drawn, rng) < 1.6
     assert prefer_errors(other) > 10.0
@@ -197,13 +199,13 @@ def prefer_errors(posterior) -> float:
     """Return by how much the best machine with errors is denser than the best one without, all switches alike."""
     on, off = np.zeros(posterior.n_parameters), np.zeros(posterior.n_parameters)
     off[posterior.n_geometry :] = OFF
-    best = [posterior.log_density(posterior.polish(y)[None])[0] for y in (on, off)]
+    best = [posterior.log_density(posterior.refine_geometry(y)[None])[0] for y in (on, off)]
     return float(best[0] - best[1])
 
 
 def measure_deviation(posterior, coefficients, rng) -> float:
     """Return how far coefficients are from what is found of them, in standard deviations, rms."""
-    mode = posterior.polish(np.zeros(posterior.n_parameters))
+    mode = posterior.refine_geometry(np.zeros(posterior.n_parameters))
     covariance = np.linalg.inv(-posterior.gradient(mode)[1])
     y = mode + rng.standard_normal((400, len(mode))) @ np.linalg.cholesky(covariance).T
     y[:, posterior.n_geometry :] = mode[posterior.n_geometry :]

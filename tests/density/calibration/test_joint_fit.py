@@ -17,7 +17,7 @@ DESIGN = Path(__file__).parents[3] / "experiments" / "audit" / "telescope_six_pu
 @pytest.fixture(scope="module")
 def plan():
     (found,) = read_plans(load_audit(DESIGN), DESIGN.parent).values()
-    return found.bare()
+    return found.without_systematic_errors()
 
 
 @pytest.mark.parametrize("seed", [2, 5])

@@ -14,7 +14,7 @@ from calibration_problems import correlation_of, density, linear_model, measurem
 from scipy.linalg import block_diag, null_space
 from scipy.stats import multivariate_normal
 
-from bayescal.density.calibration.terms import Errors, ErrorTerm, KnownErrors, ModelErrorTerm
+from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel, ErrorTerm, ModelErrorTerm
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 
@@ -49,7 +49,7 @@ def problem():
     share = 0.6 * np.linalg.qr(rng.standard_normal((P * K, N)))[0]  # of the noise, that depends on them
     design, across = rng.standard_normal((P, K, N)), root @ share.reshape(P, K, N)
     tau = ModelErrorTerm("first", np.arange(K) < 2, 0.5, "mm")
-    errors = Errors((tau, KnownErrors(design + across), KnownErrors(across, -1.0)))
+    errors = ErrorModel((tau, CorrelatedNoise(design + across), CorrelatedNoise(across, -1.0)))
     priors = {f"d[{k + 1}]": NormalPrior(0.0, 1.0) for k in range(3)}
     return Posterior(density(model, data), priors, errors), design, across
 
@@ -139,8 +139,8 @@ def test_functions_beside_them_leave_the_density_of_all_rows(problem):
     """Anchored with an error of a free size beside: by one covariance of all rows as by columns."""
     posterior = problem[0]
     more = Sized(np.random.default_rng(8).standard_normal((P, K, 2)))
-    both = replace(posterior, errors=Errors((*posterior.errors.terms, more)))
-    anchored = both.anchored()
+    both = replace(posterior, errors=ErrorModel((*posterior.errors.terms, more)))
+    anchored = both.with_pose_guesses()
     assert anchored.likelihood.frozen is not None
     y = 0.3 * np.random.default_rng(9).standard_normal((4, both.n_parameters))
     np.testing.assert_allclose(anchored.log_density(y), both.log_density(y), rtol=0, atol=1e-6)

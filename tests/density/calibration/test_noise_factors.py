@@ -11,7 +11,7 @@ import pytest
 from calibration_problems import density, linear_model, measurements
 from scipy.stats import binom, multivariate_normal
 
-from bayescal.density.calibration.terms import Errors, NoiseFactor
+from bayescal.density.calibration.terms import ErrorModel, NoiseFactor
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, SharePrior
@@ -23,7 +23,7 @@ from bayescal.inference.proposal import MixtureProposal
 SD = np.array([0.5, 0.4, 0.3, 0.5, 0.5, 0.6])
 FIRST = np.arange(6) < 3
 SCALE = 0.5  # sd of the logarithms of both factors
-WIDE = 300.0  # sd of a pose's coordinates, in place of a pose that may be anywhere
+WIDE = 300.0  # sd of a pose's coordinates, instead of a pose that may be anywhere
 KEPT = 400
 SHARE = 0.05
 
@@ -38,7 +38,7 @@ def problem(rng, factors, n_poses=40, outliers=NORMAL, spoilt=0.0):
     channel, size = rng.integers(0, 6, n_poses), rng.choice([-1.0, 1.0], n_poses) * rng.uniform(5.0, 20.0, n_poses)
     noise[wrong, channel[wrong]] += (size * SD[channel])[wrong]
     values = model.read(rng.standard_normal(3), 3.0 * rng.standard_normal((n_poses, 2))) + noise
-    return Posterior(density(model, measurements(values, SD)), priors, Errors(terms, outliers))
+    return Posterior(density(model, measurements(values, SD)), priors, ErrorModel(terms, outliers))
 
 
 def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
@@ -46,7 +46,7 @@ def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
 
     Poses are integrated, not fitted: fitted ones would cost a degree of freedom for each coordinate.
     """
-    posterior, n_poses = problem(rng, (1.3, 0.7), 8).anchored(), 8
+    posterior, n_poses = problem(rng, (1.3, 0.7), 8).with_pose_guesses(), 8
     model, values = posterior.likelihood.model, posterior.likelihood.data.values
     found, alone, expected = [], [], []
     for zeta in np.array([[0.0, 0.0], [1.0, -0.5], [-1.5, 1.0], [0.3, 2.0]]):
@@ -69,7 +69,7 @@ def test_the_posterior_of_factors_is_that_of_all_readings_at_once(rng):
 
 def test_proposals_reach_where_a_factor_is_large(rng):
     """Few rows hardly tell one group's noise from the other's: geometry follows, and walkers far out do no harm."""
-    posterior = problem(rng, (1.3, 0.7), 8).anchored()
+    posterior = problem(rng, (1.3, 0.7), 8).with_pose_guesses()
     found = explore(posterior, np.random.SeedSequence(1))
     assert found.straight.conditional is not None
     assert found.efficiency > 0.5

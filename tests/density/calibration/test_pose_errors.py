@@ -22,7 +22,7 @@ def posterior():
     theta = machines.telescope_truth(truth)
     actuators = machines.INITIAL_POSITION + machines.ACTUATOR_RANGE * machines.TABLE_3
     poses = machines.place_poses(truth, theta, actuators, np.zeros((len(actuators), 6)))
-    return machines.build_posterior("linear", poses, machines.let_err(0.02)).anchored()
+    return machines.build_posterior("linear", poses, machines.let_err(0.02)).with_pose_guesses()
 
 
 @pytest.fixture(scope="module")

@@ -99,7 +99,7 @@ def test_the_poses_follow_their_normal_given_the_parameters(names, rng):
 
 def test_the_joint_density_of_the_tests_has_its_gradient():
     joint = JointTarget(small_posterior(SETS[8], 6, 3))
-    y = joint.approach() + 1e-3
+    y = joint.least_squares_start() + 1e-3
     steps = 1e-4 * np.eye(len(y))
     differences = (joint.log_density(y + steps) - joint.log_density(y - steps)) / 2e-4
     gradient = joint.gradient(y)[0]
@@ -116,7 +116,7 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
     posterior = small_posterior(names, n_poses, 7, tolerances=TINY)
     likelihood = posterior.likelihood
     pose = find_poses_of(likelihood, posterior.sampling.start[None])[0]
-    moves = posterior.around(posterior.approach())[1].T
+    moves = posterior.around(posterior.least_squares_start())[1].T
     expected = gaussian_log_evidence(sensors_of(likelihood), likelihood.data.values, pose, moves, WORKSPACE.volume)
     _, importance, bridge = sample(posterior, 3, steps=25)
     assert importance == pytest.approx(expected, abs=0.02)
@@ -126,7 +126,7 @@ def test_evidence_has_the_closed_form_where_tolerances_are_tiny(names):
 def test_covariance_is_that_of_the_draws():
     posterior = small_posterior(SETS[8], 10, 9)
     draws, _, _ = sample(posterior, 4, steps=40)
-    mode = posterior.approach()
+    mode = posterior.least_squares_start()
     factor = np.linalg.cholesky(covariance_at(posterior, mode))
     white = np.linalg.solve(factor, (draws - mode).T)
     np.testing.assert_allclose(np.cov(white), np.eye(len(mode)), atol=0.1)

@@ -11,8 +11,8 @@ import pytest
 from bayescal.experiments.audit import compute
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.design import load_audit
-from bayescal.experiments.audit.schema import SweepConfig
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.audit.schema import AuditSweepConfig
+from bayescal.experiments.runner.run import compute_experiment
 
 pytestmark = pytest.mark.runs
 
@@ -27,10 +27,10 @@ KEYS = {"contraction", "nats", "kind", "loadings", "sentence"}
 def test_shipped_design(name, monkeypatch):
     """Two of them whole; the others without sweeps, profiles and functions, which take most of the time."""
     path = problems.DESIGNS / f"{name}.toml"
-    config, changes = load_audit(path), {"simulated_calibrations": 0, "expected_over_draws": 0}
+    config, changes = load_audit(path), {"n_simulated_calibrations": 0, "n_prior_draws": 0}
     if name not in WHOLE:
-        changes["sweep"] = SweepConfig(noise=[1.0], poses=[40], workspace=[1.0])
-        changes["model_error"] = config.model_error.model_copy(update={"terms": ["independent"]})
+        changes["sweep"] = AuditSweepConfig(noise=[1.0], poses=[40], workspace=[1.0])
+        changes["model_error"] = config.model_error.model_copy(update={"terms": ["random"]})
         monkeypatch.setattr(compute, "choose_profiles", lambda inputs, audit: [])
     summary = compute_experiment(config.model_copy(update=changes), path.parent).summary
     json.dumps(summary, allow_nan=False)
@@ -52,8 +52,8 @@ def test_shipped_design(name, monkeypatch):
     assert all(set(direction) >= KEYS for direction in summary["directions"])
     for name_, values in summary["parameters"].items():
         assert values["verdict"] in ("identifiable", "weak", "not"), name_
-        assert values["why"]
-    assert summary["recommended_free"] == list(summary["parameters"])
+        assert values["reason"]
+    assert summary["free"] == list(summary["parameters"])
     assert all({"limit", "predicted_sd", "probability"} <= set(r) for r in summary["requirements"].values())
 
 

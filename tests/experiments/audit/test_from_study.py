@@ -11,8 +11,8 @@ from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import analyse, run_audit
 from bayescal.experiments.audit.design import draw_plan, load_audit, read_design
 from bayescal.experiments.audit.kind import Audit
-from bayescal.experiments.frame.identity import hash_identity, identify
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.identity import hash_identity, identify
+from bayescal.experiments.runner.parallel import Run
 from bayescal.inference.mode import find_modes
 
 DESIGN = """
@@ -104,7 +104,7 @@ def test_without_draws_the_mode_stands_in(design):
     studies.edit(design, "draws = 2000", "draws = 0")
     plan, draws = _draw(design)
     assert draws is None
-    posterior = plan.maker.found.anchored
+    posterior = plan.maker.found.with_pose_guesses
     mode = posterior.natural(find_modes(posterior)[0].y[None])[0]
     assert np.allclose(plan.parameters.nominal, mode[: posterior.n_geometry], rtol=1e-12)
 
@@ -137,7 +137,7 @@ def test_files_of_the_study_are_the_audits(design):
 def test_audit_of_a_study_runs_with_its_what_ifs(design):
     audit = run_audit(_read(design), Run())
     assert audit.analysis.structure.rank == 12
-    assert all(outcome.information is not None for outcome in audit.what_ifs)
+    assert all(outcome.information is not None for outcome in audit.scenarios)
     assert 0.0 < audit.outlooks[0].predicted_sd < audit.outlooks[0].prior_sd
 
 
@@ -149,8 +149,8 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
         ("seed = 5", 'seed = 5\nmachine = "other.toml"', "found machine beside [data], expected none"),
         (
             "seed = 5",
-            'seed = 5\nwhat_if = [{ name = "w", sensors = ["rho"] }]',
-            "what_if 'w': sensors: found them beside [data]",
+            'seed = 5\nscenarios = [{ name = "w", sensors = ["rho"] }]',
+            "scenario 'w': sensors: found them beside [data]",
         ),
         ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses beside [data], expected none"),
         ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found sensors beside [data], expected none"),
@@ -170,15 +170,15 @@ def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
 
 def test_outliers_are_refused(design):
     study = design.parent / "tiny" / "study.toml"
-    study.write_text(study.read_text().replace("[[variants]]", "[[variants]]\noutlier_share = 0.02"))
-    with pytest.raises(InputError, match="found outlier_share, expected none") as caught:
+    study.write_text(study.read_text().replace("[[variants]]", "[[variants]]\noutlier_fraction = 0.02"))
+    with pytest.raises(InputError, match="found outlier_fraction, expected none") as caught:
         _read(design)
     assert "\n" not in str(caught.value)
 
 
 def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(design):
     study = design.parent / "tiny" / "study.toml"
-    studies.edit(study, 'terms = ["independent"]', 'terms = ["independent", "smooth"]')
+    studies.edit(study, 'terms = ["random"]', 'terms = ["random", "smooth"]')
     studies.edit(study, 'deformation = "matrix"\nfree = ["l", "kappa"]', 'deformation = "linear"\nfree = ["l"]')
     studies.edit(design, 'deformation = "matrix"', 'deformation = "linear"')
     plan, draws = _draw(design)
@@ -186,7 +186,7 @@ def test_errors_that_are_functions_of_the_pose_come_from_the_posterior(design):
     natural = dict(zip(errors.names, errors.natural(draws.zeta).T, strict=True))
     assert plan.sizes == pytest.approx({"smooth": np.sqrt(np.mean(natural["sigma_smooth"] ** 2))})
     assert plan.tau == pytest.approx(np.sqrt(np.mean(natural["tau"] ** 2)))
-    found, alone = analyse(plan).information, analyse(plan.bare()).information
+    found, alone = analyse(plan).information, analyse(plan.without_systematic_errors()).information
     assert (found.contraction < alone.contraction).all()
     # foretold as the draws have it: the same machine, the same noise
     left = draws.values.std(axis=0) / plan.sd

@@ -20,8 +20,8 @@ from bayescal.experiments.audit.draws import (
     plot_ridges,
     tabulate_plots,
 )
-from bayescal.experiments.audit.schema import SweepConfig
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.audit.schema import AuditSweepConfig
+from bayescal.experiments.runner.parallel import Run
 from bayescal.identifiability.information import Information, information_of_rows
 from bayescal.identifiability.profile import compute_profile
 from bayescal.identifiability.reading_rows import see
@@ -51,7 +51,7 @@ def _plan(path, draws, variant=(), **changes):
     config = load_audit(path)
     posterior = config.posterior.model_copy(update={"draws": draws})
     changes |= {
-        "sweep": SweepConfig(noise=[1.0], poses=[40], workspace=[1.0]),
+        "sweep": AuditSweepConfig(noise=[1.0], poses=[40], workspace=[1.0]),
         "posterior": posterior,
         "variants": [config.variants[0].model_copy(update=dict(variant))],
     }

@@ -14,7 +14,7 @@ from bayescal.experiments.audit.audit import evaluate_plan, list_changes, run_au
 from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.experiments.audit.proposal import propose
 from bayescal.experiments.audit.results import summarise
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 
 pytestmark = pytest.mark.runs
 DELTA = tiny_experiments.SHIPPED.parent / "examples" / "own_machine" / "audit.toml"
@@ -22,7 +22,7 @@ DELTA = tiny_experiments.SHIPPED.parent / "examples" / "own_machine" / "audit.to
 
 @pytest.fixture(scope="module")
 def camera():
-    return problems.read_shipped("camera_hexapod").bare()
+    return problems.read_shipped("camera_hexapod").without_systematic_errors()
 
 
 def judge(plan):
@@ -33,7 +33,7 @@ def judge(plan):
 
 @pytest.mark.parametrize("name", ["telescope_six_pus_none", "camera_hexapod"])
 def test_proposed_poses_are_better_where_nothing_errs_but_by_noise(name):
-    plan = problems.read_shipped(name).bare()
+    plan = problems.read_shipped(name).without_systematic_errors()
     said, proposed = propose(plan)
     _, again = propose(plan)
     assert said == "40 poses chosen I-optimally"
@@ -54,7 +54,7 @@ def test_proposed_poses_tell_of_systematic_errors():
     """Those that noise alone asks for make the tool worse, when legs err by functions of the pose."""
     plan = problems.read_shipped("m2_hexapod", accuracy_frame="base")
     assert plan.sizes
-    (_, better), (_, blind) = propose(plan), propose(plan.bare())
+    (_, better), (_, blind) = propose(plan), propose(plan.without_systematic_errors())
     chosen = problems.take_poses(blind)
     assert judge(better) < min(judge(plan), judge(plan.replan(chosen)))
 
@@ -70,14 +70,14 @@ def test_audits_list_proposed_poses_last(camera, monkeypatch):
     proposed = run_audit(camera, Run())
     monkeypatch.setattr(audit_module, "propose", lambda plan: None)
     plain = run_audit(camera, Run())
-    change = proposed.what_ifs[-1]
-    assert [one.name for one in proposed.what_ifs[:-1]] == [one.name for one in plain.what_ifs]
-    assert [one.name for one in plain.what_ifs] == [one.name for one in list_changes(camera)]
+    change = proposed.scenarios[-1]
+    assert [one.name for one in proposed.scenarios[:-1]] == [one.name for one in plain.scenarios]
+    assert [one.name for one in plain.scenarios] == [one.name for one in list_changes(camera)]
     assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
     said, before = summarise(proposed), summarise(plain)
     for one in (*said["directions"], *before["directions"]):  # the proposal may be what helps a direction most
-        one.pop("helped_most_by", None)
-    assert {**said, "what_if": said["what_if"][:-1]} == before
+        one.pop("best_scenario", None)
+    assert {**said, "scenarios": said["scenarios"][:-1]} == before
 
 
 def test_without_requirements_all_components_count(camera):

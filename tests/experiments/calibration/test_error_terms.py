@@ -1,4 +1,4 @@
-"""Errors that a config names in [errors]: functions, and terms of somebody else's classes from outside the package."""
+"""Errors that a config names in [error_terms]: functions, and terms of custom classes."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import run_experiment
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.readings.knowledge import inform, see
 from bayescal.report.pictures import Picture
@@ -74,28 +74,28 @@ class Failing(Edge):
         return data.nothing
 '''
 TERMS = """
-[errors.wander]
+[error_terms.wander]
 kind = "own_errors.py:Wander"
 scale_mm = 0.01
 
-[errors.edge]
+[error_terms.edge]
 kind = "own_errors.py:Edge"
 
-[errors.motors]
+[error_terms.motors]
 channels = ["s"]
 kernel = "quadratic"
 scale_um = 20.0
-per = "channel"
+shared = false
 
-[errors.drift]
+[error_terms.drift]
 channels = ["s"]
-of = "order"
+input = "order"
 scale_um = 5.0
 
-[errors.bed]
+[error_terms.bed]
 channels = ["s"]
-of = "commands"
-length_spread = 0.2
+input = "commands"
+log_length_scale_sd = 0.2
 scale_um = 5.0
 """
 
@@ -113,17 +113,17 @@ def read(path):
 
 
 @pytest.mark.runs
-@pytest.mark.parametrize("outliers", ["robust = 4.0", "outlier_share = 0.05"])
+@pytest.mark.parametrize("outliers", ["student_t_dof = 4.0", "outlier_fraction = 0.05"])
 def test_all_terms_hold_together_and_have_their_gradient(outliers, tmp_path, rng):
     """Own terms, functions of three inputs, unknown noise and outliers: slopes are those of differences."""
     path = write(tmp_path)
     calibrations.change(path, 'name = "all"', f'name = "all"\n{outliers}')
-    posterior = read(path).variants["all"].posterior().anchored()
+    posterior = read(path).variants["all"].posterior().with_pose_guesses()
     expected = ("wander(wander)", "edge", *(f"sigma_g(motors, s[{k}])" for k in (1, 2, 3)))
     terms = [name for name in posterior.errors.names if name != "epsilon"]
     assert terms[-8:] == [*expected, "sigma_g(drift)", "sigma_g(bed)", "L_g(bed)"]
-    assert (posterior.names[-1] == "epsilon") == ("share" in outliers)
-    y = posterior.approach() + 0.05 * rng.standard_normal(posterior.n_parameters)
+    assert (posterior.names[-1] == "epsilon") == ("fraction" in outliers)
+    y = posterior.least_squares_start() + 0.05 * rng.standard_normal(posterior.n_parameters)
     gradient, hessian = posterior.gradient(y)
     assert (np.linalg.eigvalsh(-hessian) > 0.0).all()
     moves = 1e-3 * np.eye(len(y))
@@ -135,7 +135,7 @@ def test_all_terms_hold_together_and_have_their_gradient(outliers, tmp_path, rng
 
 def test_variants_choose_their_errors_by_name(tmp_path):
     path = write(tmp_path)
-    calibrations.change(path, 'name = "all"', 'name = "all"\nerrors = ["drift", "edge"]')
+    calibrations.change(path, 'name = "all"', 'name = "all"\nerror_terms = ["drift", "edge"]')
     variants = read(path).variants
     assert variants["all"].errors.names[-2:] == ("edge", "sigma_g(drift)")
     others = next(one for name, one in variants.items() if name != "all")
@@ -150,18 +150,18 @@ def test_variants_choose_their_errors_by_name(tmp_path):
         ("scale_um = 20.0", "scale_um = 20.0\nscale_mm = 1.0", "found scale_um and scale_mm, expected one of scale"),
         (
             'kernel = "quadratic"',
-            'kernel = "smooth"\nlength = 0.01',
+            'kernel = "smooth"\nlength_scale = 0.01',
             "found smooth errors of a length down to 0.01 ranges",
         ),
         ("own_errors.py:Wander", "own_errors.py:Wanderer", "Wanderer"),
         ("scale_mm = 0.01", "scale_m = 0.01", "scale_m"),
-        ("own_errors.py:Edge", "own_errors.py:Short", "errors.edge: found 0 units for 1 names, expected one each"),
+        ("own_errors.py:Edge", "own_errors.py:Short", "error_terms.edge: found 0 units for 1 names, expected one each"),
         ("own_errors.py:Edge", "own_errors.py:Both", "none or several of factor, variance and columns"),
         ("own_errors.py:Edge", "own_errors.py:Failing", "fails with AttributeError"),
         (
             'name = "all"',
-            'name = "all"\nerrors = ["drfit"]',
-            "errors: found 'drfit', expected some of wander, edge, motors",
+            'name = "all"\nerror_terms = ["drfit"]',
+            "error_terms: found 'drfit', expected some of wander, edge, motors",
         ),
     ],
 )
@@ -175,15 +175,15 @@ def test_what_does_not_fit_is_refused_in_one_line(tmp_path, old, new, message):
 
 def test_verdicts_hold_beside_errors_that_the_geometry_imitates(tmp_path):
     """Carriages that all may be off by functions of what they read leave less to know of the machine."""
-    path = write(tmp_path, TERMS[TERMS.index("[errors.motors]") : TERMS.index("[errors.drift]")])
+    path = write(tmp_path, TERMS[TERMS.index("[error_terms.motors]") : TERMS.index("[error_terms.drift]")])
     calibrations.change(path, "scale_um = 20.0", "scale_mm = 1.0")
-    calibrations.change(path, 'name = "one_rod"', 'name = "one_rod"\nerrors = []')
-    calibrations.change(path, 'common = ["l"]', "")
+    calibrations.change(path, 'name = "one_rod"', 'name = "one_rod"\nerror_terms = []')
+    calibrations.change(path, 'tied = ["l"]', "")
     inputs = read(path)
     left = {}
     for name, variant in inputs.variants.items():
-        posterior = variant.posterior().anchored()
-        y = posterior.approach()
+        posterior = variant.posterior().with_pose_guesses()
+        y = posterior.least_squares_start()
         left[name] = 1.0 - inform(posterior, y, see(posterior, y)).contraction
     assert (left["all"] > (1.0 - 1e-9) * left["one_rod"]).all()
     assert (left["all"] > 1.2 * left["one_rod"]).any()
@@ -191,17 +191,17 @@ def test_verdicts_hold_beside_errors_that_the_geometry_imitates(tmp_path):
 
 @pytest.mark.runs
 def test_an_own_term_and_functions_run_to_a_page(tmp_path, monkeypatch):
-    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
-    path = write(tmp_path, TERMS.partition("[errors.drift]")[0].replace("quadratic", "linear"))
+    monkeypatch.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
+    path = write(tmp_path, TERMS.partition("[error_terms.drift]")[0].replace("quadratic", "linear"))
     text = path.read_text()
     path.write_text(text.replace(text[text.index('[[variants]]\nname = "one_rod"') : text.index("[sampler]")], ""))
     run_experiment(load(path)[1], path.parent, tmp_path / "out")
     found = pd.read_csv(tmp_path / "out" / "tables" / "functions.csv")
     assert set(found["sensor"]) == {f"s[{k}]" for k in (1, 2, 3)}
-    assert found["present"].between(0.0, 1.0).all()
-    assert set(pd.read_csv(tmp_path / "out" / "tables" / "function_curves.csv")["of"]) == {"reading"}
+    assert found["probability_present"].between(0.0, 1.0).all()
+    assert set(pd.read_csv(tmp_path / "out" / "tables" / "function_curves.csv")["input"]) == {"reading"}
     provenance = json.loads((tmp_path / "out" / "provenance.json").read_text())
     assert "own_errors.py" in provenance["files"]
     names = set(pd.read_csv(tmp_path / "out" / "tables" / "parameters.csv")["parameter"])
     assert {"wander(wander)", "edge", "sigma_g(motors, s[1])"} <= names
-    assert "Errors that are functions" in (tmp_path / "out" / "report.html").read_text()
+    assert "Systematic sensor errors" in (tmp_path / "out" / "report.html").read_text()

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from scipy.optimize import least_squares
 
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import run_experiment
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import explore, weigh_proposal
 from bayescal.inference.schema import EvidenceConfig
@@ -40,7 +40,7 @@ def author(model):
 def test_errors_that_make_up_for_each_other_are_proposed_as_they_are(seed):
     """Noise, τ and four functions explain the same residuals: the density of their sizes has shoulders."""
     _, config = load(FOLDER / "study.toml")
-    posterior = StudyInputs.load(config, FOLDER).variants["buildup"].posterior().anchored()
+    posterior = StudyInputs.load(config, FOLDER).variants["buildup"].posterior().with_pose_guesses()
     found = explore(posterior, np.random.SeedSequence(seed))
     weighed = weigh_proposal(found, np.random.SeedSequence(10 + seed), EvidenceConfig(draws=4000))
     assert weighed.efficiency > 0.3  # 0.5; 0.01 to 0.3 from sixty effective draws of the sizes
@@ -111,11 +111,11 @@ def tiny(tmp_path_factory):
     text = (folder / "study.toml").read_text()
     for key, value in {"walkers": 40, "burn_in": 3, "steps": 4, "draws": 1000, "max_draws": 1000, "folds": 0}.items():
         text = re.sub(rf"(?m)^{key} = \d+", f"{key} = {value}", text)
-    text = text.replace("draws = 1000\n\n[[beside]]", "draws = 100\n\n[[beside]]")
+    text = text.replace("draws = 1000\n\n[[reference_values]]", "draws = 100\n\n[[reference_values]]")
     parts = re.split(r"(?m)^(?=\[\[variants\]\])", text)
     head, variants = parts[0], parts[1:]
     variants[-1], tail = variants[-1].split("[validation]")
-    kept = [one.rstrip() + '\nnoise = "stated"\n\n' for one in variants if 'name = "rigid"' in one]
+    kept = [one.rstrip() + "\nnoise_known = true\n\n" for one in variants if 'name = "rigid"' in one]
     head = head.replace('channels = ["motor"]', 'ignore = ["force_1", "force_2", "force_3", "force_4"]')
     tail += "\n[next]\ncandidates = 30\n" + PLAIN
     (folder / "study.toml").write_text(head + "".join(kept) + "[validation]" + tail)
@@ -132,7 +132,7 @@ def test_the_report_says_measured_with_source_and_licence(tiny):
 
 def test_anchors_and_tape_are_where_they_should_be(tiny):
     """Independent of the fit: hand-measured line lengths lie within three of the calibration's deviations, or 25 mm."""
-    beside = tiny.results.table("beside")
+    beside = tiny.results.table("reference_values")
     tape = beside[(beside["variant"] == "rigid") & (beside["quantity"].str.startswith("length"))]
     assert len(tape) == 4
     assert (np.abs(tape["value"] - tape["mean"]) < np.maximum(3.0 * tape["sd"], 25.0)).all()
@@ -144,6 +144,6 @@ def test_anchors_and_tape_are_where_they_should_be(tiny):
 def test_the_camera_errs_most_where_it_is_known_to(tiny):
     """Of the positions that the camera saw, plain least squares leaves most at poses 4, 3, 5 and 2."""
     poses = tiny.results.table("poses")
-    known = poses[poses["equations"] == 4].sort_values("square", ascending=False)
+    known = poses[poses["n_dof"] == 4].sort_values("chi2", ascending=False)
     assert len(known) == 9
     assert set(known["pose"].astype(int)[:3]) < {2, 3, 4, 5}

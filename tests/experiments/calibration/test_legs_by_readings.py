@@ -5,7 +5,7 @@ import pytest
 import studies
 from telescope_machines import list_coordinates
 
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import integrate_posterior
@@ -52,13 +52,13 @@ title = "The M2 hexapod by the general route"
 seed = 2026
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "the study's twin"
 
 [[data]]
 file = "readings.csv"
-commanded = ["rho"]
+commanded_channels = ["rho"]
 
 [sensors]
 {legs}
@@ -104,7 +104,7 @@ def write_readings(poses):
 def general(request, study, tmp_path_factory):
     """Return the posterior of the same data by the general route."""
     folder, mechanism = tmp_path_factory.mktemp(request.param), study.seen.mechanism
-    legs = [f'"rho[{k}]" = {{ noise_um = 1.0, group = "leg_{k}" }}' for k in range(1, 7)]
+    legs = [f'"rho[{k}]" = {{ noise_um = 1.0, noise_group = "leg_{k}" }}' for k in range(1, 7)]
     text = CONFIG.format(
         legs="\n".join(legs),
         pose="\n".join(f"{name} = {{ noise_{'mm' if len(name) == 1 else 'rad'} = 1.0 }}" for name in POSE),
@@ -122,17 +122,17 @@ def general(request, study, tmp_path_factory):
     }
     (folder / "struts.py").write_text(CLASS.format(**known))
     inputs = read_inputs(load(folder / "study.toml")[1], folder)
-    return inputs.variants["lengths"].posterior().anchored()
+    return inputs.variants["lengths"].posterior().with_pose_guesses()
 
 
 @pytest.fixture(scope="module")
 def fast(study):
-    return study.variants["six_ups/none"].posterior().anchored()
+    return study.variants["six_ups/none"].posterior().with_pose_guesses()
 
 
 def test_density_of_the_same_parameters_is_the_same(fast, general):
     """Priors are the same by symbol and by leg."""
-    mode = fast.polish(fast.approach())
+    mode = fast.refine_geometry(fast.least_squares_start())
     y = mode + 0.003 * np.random.default_rng(2).standard_normal((6, len(mode)))
     natural, other = fast.natural(y), to_general(fast, general, y)
     np.testing.assert_allclose(general.natural(other), natural, atol=1e-9)
@@ -144,14 +144,14 @@ def to_general(fast, general, y):
     """Return coordinates of the general posterior where parameters and model errors are those of the other at y."""
     theta = np.tile(general.sampling.start, (len(y), 1))
     theta[:, general.likelihood.model.layout.index["l"]] = fast.natural(y)[:, :6]
-    return general.adopt(theta, y[:, 6:])
+    return general.to_coordinates(theta, y[:, 6:])
 
 
 def integrate(posterior):
     """Return the evidence with its standard error, draws (S, n) in the posterior's own coordinates."""
     seeds = np.random.SeedSequence(28).spawn(2)
     explored, evidence = integrate_posterior(
-        posterior, *seeds, 64, EvidenceConfig(draws=4000, target_error=0.008, max_draws=12000)
+        posterior, *seeds, 64, EvidenceConfig(draws=4000, tolerance_nat=0.008, max_draws=12000)
     )
     rng = np.random.default_rng(1)
     drawn = resample(explored.straight.log_density, explored.proposal, rng, 12000, 4000).draws

@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.density.calibration.model_error import ThinFunctionsOfPose
+from bayescal.density.calibration.model_error import LowRankGPTerm
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.readings import errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import fit_variant
 
-TERMS = ("tau", "sigma_linear", "sigma_own", "sigma_smooth", "sigma_drift")
+TERMS = ("tau", "sigma_linear", "sigma_positioning", "sigma_smooth", "sigma_drift")
 NONE = "\n[model_error]\nterms = []\n"
 
 
@@ -45,7 +45,7 @@ def test_a_silent_study_has_all_terms_by_which_its_carriages_err(tmp_path):
 
 
 def test_variants_have_terms_of_their_own(tmp_path):
-    study = read(write(tmp_path, variant='model_error = ["independent", "drift"]\nnoise = "stated"'))
+    study = read(write(tmp_path, variant='model_error = ["random", "drift"]\nnoise_known = true'))
     assert names_of(study) == ("tau", "sigma_drift")
     assert names_of(study, "one_rod") == TERMS
     study = read(write(tmp_path / "other", variant="model_error = []"))
@@ -53,14 +53,16 @@ def test_variants_have_terms_of_their_own(tmp_path):
 
 
 def test_scales_floors_and_tau_by_channel_are_those_of_the_section(tmp_path):
-    section = "scale_um = 3.0\nfunctions_um = 7.0\nat_least_um = { own = 2.0 }\nper_leg = true"
-    section += '\nterms = ["independent", "own"]'
+    section = (
+        "random_scale_um = 3.0\nsystematic_scale_um = 7.0\nfloor_um = { positioning = 2.0 }\nseparate_by_leg = true"
+    )
+    section += '\nterms = ["random", "positioning"]'
     *taus, own = read(write(tmp_path, section)).variants["all"].posterior().errors.terms
     assert [one.names for one in taus] == [("tau[1]",), ("tau[2]",), ("tau[3]",)]
     assert [one.priors[0].scale for one in taus] == pytest.approx([0.003] * 3)
     assert own.priors[0].scale == pytest.approx(0.007)
     assert own.floor == pytest.approx(0.002)
-    together = read(write(tmp_path / "other", "at_least_um = 6.0")).variants["all"].posterior().errors.terms
+    together = read(write(tmp_path / "other", "floor_um = 6.0")).variants["all"].posterior().errors.terms
     floors = [one.floor for one in together]
     assert floors == pytest.approx([0.0, *[0.006 / np.sqrt(3.0)] * 3, 0.0])
 
@@ -81,10 +83,10 @@ def test_one_channel_has_all_terms(tmp_path):
 
 
 def test_where_rows_may_be_outliers_functions_are_those_of_few_coefficients_and_that_is_said(tmp_path):
-    study = read(write(tmp_path, variant="robust = 4.0"))
+    study = read(write(tmp_path, variant="student_t_dof = 4.0"))
     assert names_of(study) == ("tau", "sigma_linear")
     assert names_of(study, "one_rod") == TERMS
-    said = "variant 'all': the model error has no terms own, smooth, drift, as single rows may be outliers"
+    said = "variant 'all': the model error has no terms positioning, smooth, drift, as single rows may be outliers"
     assert said in study.missing
     assert any(said in line for line in study.outlook())
 
@@ -92,23 +94,23 @@ def test_where_rows_may_be_outliers_functions_are_those_of_few_coefficients_and_
 REFUSED = {
     "a term that there cannot be": (
         "",
-        'robust = 4.0\nmodel_error = ["linear", "own"]',
-        "variant 'all': model_error: found term 'own', but single rows may be outliers",
+        'student_t_dof = 4.0\nmodel_error = ["linear", "positioning"]',
+        "variant 'all': model_error: found term 'positioning', but single rows may be outliers",
     ),
     "no channel of its own": (
-        'terms = ["independent"]',
+        'terms = ["random"]',
         'sensors = ["cam_x", "cam_y", "height"]',
-        "model_error: found term 'independent', but no channel of the machine itself moves",
+        "model_error: found term 'random', but no channel of the machine itself moves",
     ),
     "many coefficients beside outliers": (
         "",
-        'robust = 4.0\nmodel_error = ["smooth"]',
+        'student_t_dof = 4.0\nmodel_error = ["smooth"]',
         "variant 'all': model_error: found term 'smooth', but single rows may be outliers, expected other terms",
     ),
     "a floor beyond the tolerances": (
-        "at_least_um = { linear = 600.0 }",
+        "floor_um = { linear = 600.0 }",
         "",
-        "model_error.at_least_um: found 600 µm for 'linear', expected less than the largest tolerance, 500 µm",
+        "model_error.floor_um: found 600 µm for 'linear', expected less than the largest tolerance, 500 µm",
     ),
     "beside errors by channel": (
         "s = { scale = 0.01 }",
@@ -149,27 +151,27 @@ def test_a_coupling_is_found_in_size_place_and_course(tmp_path):
     variant = study.variants["all"]
     tables = fit_variant(study, "all").tables
     sizes = tables["model_error"].set_index("term")
-    assert list(sizes.index) == ["independent", "linear", "own", "smooth", "drift", "together"]
-    assert (sizes["q05_um"] <= sizes["median_um"]).all()
-    assert (sizes["median_um"] <= sizes["q95_um"]).all()
-    assert sizes["median_um"].drop("together").idxmax() == "linear"
+    assert list(sizes.index) == ["random", "linear", "positioning", "smooth", "drift", "systematic_total"]
+    assert (sizes["q05"] <= sizes["median"]).all()
+    assert (sizes["median"] <= sizes["q95"]).all()
+    assert sizes["median"].drop("systematic_total").idxmax() == "linear"
     poses = tables["model_error_poses"]
     assert list(poses["member"][:3]) == ["s[1]", "s[2]", "s[3]"]
     assert list(poses["pose"][::3]) == list(variant.data.poses) == list(table["pose"])
     assert list(poses["use"][::3]) == list(table["use"])
     members = tables["model_error_members"]
-    assert list(members["term"][:4]) == ["linear", "own", "smooth", "drift"]
-    largest = members[members["term"] == "linear"].set_index("member")["rms_um"]
+    assert list(members["term"][:4]) == ["linear", "positioning", "smooth", "drift"]
+    largest = members[members["term"] == "linear"].set_index("member")["rms"]
     expected = np.sqrt(np.mean(error[table["use"] == "calibration"] ** 2, axis=0))
     np.testing.assert_allclose(largest, expected, rtol=0.4)
-    assert sizes["q05_um"]["together"] < 100.0 < sizes["q95_um"]["together"] < 150.0
-    there = (poses["low_um"] <= error.ravel()) & (error.ravel() <= poses["high_um"])
+    assert sizes["q05"]["systematic_total"] < 100.0 < sizes["q95"]["systematic_total"] < 150.0
+    there = (poses["low"] <= error.ravel()) & (error.ravel() <= poses["high"])
     assert there.mean() > 0.8
 
 
 @pytest.mark.runs
 def test_tables_of_random_errors_alone_have_their_size(tmp_path):
-    path = write(tmp_path, 'terms = ["independent"]\nat_least_um = { independent = 4.0 }\nper_leg = true')
+    path = write(tmp_path, 'terms = ["random"]\nfloor_um = { random = 4.0 }\nseparate_by_leg = true')
     fit = fit_variant(read(path), "all")
     assert {name for name in fit.tables if "model_error" in name} == {"model_error"}
     (row,) = fit.tables["model_error"].to_dict("records")
@@ -177,8 +179,8 @@ def test_tables_of_random_errors_alone_have_their_size(tmp_path):
     assert len(taus) == 3
     draws = fit.draws.reshape(-1, fit.draws.shape[-1])[:, taus]
     expected = 1000.0 * np.median(np.sqrt(np.mean(draws**2, axis=1) + 0.004**2))
-    assert row["median_um"] == pytest.approx(expected, rel=0.05)
-    assert row["q05_um"] >= 4.0
+    assert row["median"] == pytest.approx(expected, rel=0.05)
+    assert row["q05"] >= 4.0
 
 
 def test_of_more_rows_than_their_covariance_is_made_for_functions_are_of_few_columns(tmp_path, monkeypatch):
@@ -186,5 +188,5 @@ def test_of_more_rows_than_their_covariance_is_made_for_functions_are_of_few_col
     for most, few in ((89, True), (90, False)):  # 30 rows of three equations
         monkeypatch.setattr(errors, "MOST_ROWS", most)
         tau, *functions = read(path).variants["all"].errors.terms
-        assert not isinstance(tau, ThinFunctionsOfPose)
-        assert [isinstance(one, ThinFunctionsOfPose) for one in functions] == [few] * 4
+        assert not isinstance(tau, LowRankGPTerm)
+        assert [isinstance(one, LowRankGPTerm) for one in functions] == [few] * 4

@@ -6,8 +6,8 @@ import calibrations
 import numpy as np
 import pytest
 
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import run_experiment
 from bayescal.report.symbols import format_amount, format_place, shown_in
 
 NO_ERROR = "[model_error]\nterms = []\n"  # whose sizes are in µm whatever the units

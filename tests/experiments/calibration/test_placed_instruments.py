@@ -1,4 +1,4 @@
-"""[instruments] in calibrations of any machine: built-in kinds, a class of one's own, and what is refused."""
+"""[instruments] in calibrations of any machine: built-in kinds, a user-defined class, and what is refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 import studies
 
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import POSE
@@ -83,7 +83,7 @@ title = "An arm and instruments beside it"
 seed = 3
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "drawn within its tolerances"
 
@@ -123,10 +123,10 @@ kind = "simulation"
 name = "arm_data"
 title = "Readings of an arm"
 seed = 4
-origin = {{ status = "simulated", text = "drawn within its tolerances" }}
+provenance = {{ status = "simulated", text = "drawn within its tolerances" }}
 machine = "machine.toml"
 n_poses = 20
-verification_poses = 3
+n_verification_poses = 3
 {INSTRUMENTS}{SENSORS}"""
 
 
@@ -173,7 +173,7 @@ def test_simulated_readings_are_the_calibrations(arm):
 @pytest.fixture(scope="module")
 def results(arm, tmp_path_factory):
     """Return results that have left the experiment behind, run once to the end, with a column that nobody takes."""
-    from bayescal.experiments.frame.run import run_experiment
+    from bayescal.experiments.runner.run import run_experiment
 
     folder = tmp_path_factory.mktemp("results")
     path = Path(shutil.copytree(arm.parent, folder / "arm")) / "study.toml"
@@ -202,7 +202,7 @@ def test_the_truth_lies_where_the_posterior_says(arm, results):
 @pytest.mark.runs
 @pytest.mark.parametrize("variant", ["all", "near"])
 def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path, call):
-    """Instruments are no part of the calibrated machine, whose results keep their code for rechecks alone."""
+    """Instruments are no part of the calibrated machine, whose results keep their code for reverifications alone."""
     (tmp_path / "commands.csv").write_text(
         "pose,encoder_1_rad,encoder_2_rad,encoder_3_rad\nA,0.1,0.5,-1.1\nB,-0.4,0.7,-1.3\n"
     )
@@ -212,7 +212,7 @@ def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path
     pd.read_csv(tmp_path / "poses.csv", comment="#").filter(regex="^(pose|tool_[xyz]_mm)$").to_csv(
         tmp_path / "places.csv", index=False
     )
-    code, _, err = call("command", results, tmp_path / "places.csv", *asked, "--out", tmp_path / "again.csv")
+    code, _, err = call("compensate", results, tmp_path / "places.csv", *asked, "--out", tmp_path / "again.csv")
     assert code == 0, err
     told, found = (
         pd.read_csv(tmp_path / name, comment="#").set_index("pose") for name in ("commands.csv", "again.csv")
@@ -224,10 +224,12 @@ def test_the_machine_alone_is_predicted_and_commanded(variant, results, tmp_path
 def test_an_audit_chooses_among_instruments(arm, tmp_path, call):
     text = ARM.partition("[validation]")[0].replace('kind = "study"', 'kind = "audit"')
     text = text.replace("[model_error]\nterms = []\n\n", "")
-    before, _, after = text.partition("[origin]")
+    before, _, after = text.partition("[provenance]")
     audit = before + after[after.index("\n[instruments") :] + "\n[poses]\ncount = 12\n[next]\ncandidates = 10\n"
     path = arm.parent / "audit.toml"
-    path.write_text(audit + '\n[sensor_choice]\nalways = ["encoder"]\ncandidates = [["station"], "bar", "laser"]\n')
+    path.write_text(
+        audit + '\n[sensor_selection]\nrequired_sensors = ["encoder"]\ncandidates = [["station"], "bar", "laser"]\n'
+    )
     code, _, err = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert code == 0, err
     sets = pd.read_csv(tmp_path / "out" / "tables" / "sensor_sets.csv")
@@ -244,13 +246,13 @@ title = "Legs and a pose"
 seed = 1
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "made up"
 
 [[data]]
 file = "readings.csv"
-commanded = ["rho"]
+commanded_channels = ["rho"]
 
 {instruments}
 
@@ -263,7 +265,7 @@ a_x = {{ prior = "normal", sd = 0.1 }}
 b_z = {{ prior = "normal", sd = 0.1 }}
 l = {{ prior = "normal", sd = 0.5 }}
 
-[unknown_noise]
+[noise_factor_log_sd]
 rho = 0.5
 
 [model_error]
@@ -325,9 +327,9 @@ def test_a_tracked_pose_in_the_base_frame_is_legs_own(tmp_path):
     """The posterior by an instrument whose frame is known equals that by legs' own channels of the pose."""
     own, _ = write_legs(tmp_path / "own", np.random.default_rng(5))
     other, _ = write_legs(tmp_path / "other", np.random.default_rng(5), TRACKER, SEEN)
-    one, two = (read(path).variants["all"].posterior().anchored() for path in (own, other))
+    one, two = (read(path).variants["all"].posterior().with_pose_guesses() for path in (own, other))
     assert one.n_parameters == two.n_parameters
-    y = one.approach() + 0.05 * np.random.default_rng(6).standard_normal((6, one.n_parameters))
+    y = one.least_squares_start() + 0.05 * np.random.default_rng(6).standard_normal((6, one.n_parameters))
     np.testing.assert_allclose(two.natural(y), one.natural(y), rtol=1e-12)
     np.testing.assert_allclose(two.pointwise(y), one.pointwise(y), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(two.log_density(y), one.log_density(y), rtol=1e-9)
@@ -337,9 +339,9 @@ def test_a_free_frame_leaves_less_to_know(tmp_path):
     """A tracker that may stand anywhere: its frame is free, and moves what the machine's own channels cannot tell."""
     path, _ = write_legs(tmp_path / "free", np.random.default_rng(5), TRACKER, SEEN)
     calibrations.change(path, "[parameters]", '[parameters]\ntracker_frame = { prior = "normal", sd = 5.0 }')
-    posterior = read(path).variants["all"].posterior().anchored()
+    posterior = read(path).variants["all"].posterior().with_pose_guesses()
     assert {"tracker_frame[1]", "tracker_frame[3]"} <= set(posterior.sampling.names)
-    gradient, hessian = posterior.gradient(posterior.approach())
+    gradient, hessian = posterior.gradient(posterior.least_squares_start())
     assert np.isfinite(gradient).all()
     assert (np.linalg.eigvalsh(-hessian) > 0.0).all()
 
@@ -468,6 +470,6 @@ def test_a_machine_without_a_tool_takes_no_instrument(copied, tmp_path, refuse):
 
 
 def test_code_beside_a_config_is_not_run_where_that_is_refused(copied, call):
-    code, out, err = call("validate", copied, "--no-plugins")
+    code, out, err = call("validate", copied, "--no-custom-code")
     assert (code, out) == (2, "")
-    assert "instruments.laser.kind: found 'laser.py:Laser', which is no built-in one, and --no-plugins" in err
+    assert "instruments.laser.kind: found 'laser.py:Laser', which is no built-in one, and --no-custom-code" in err

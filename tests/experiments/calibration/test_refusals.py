@@ -24,9 +24,13 @@ CASES = {
             "parameters.s0: found 2 values",
         ),
         "no such file": ('file = "data/readings.csv"', 'file = "data/reading.csv"', "reading.csv"),
-        "free without a prior": ('common = ["l"]', 'free = ["q"]', "'one_rod' frees 'q', which has no prior"),
-        "one in common": ('common = ["l"]', 'common = ["t_x"]', "one parameter, expected at least two"),
-        "unknown group": ("[sampler]", "[unknown_noise]\ncam = 1.0\n[sampler]", "unknown_noise: found 'cam'"),
+        "free without a prior": ('tied = ["l"]', 'free = ["q"]', "'one_rod' frees 'q', which has no prior"),
+        "one in common": ('tied = ["l"]', 'tied = ["t_x"]', "one parameter, expected at least two"),
+        "unknown group": (
+            "[sampler]",
+            "[noise_factor_log_sd]\ncam = 1.0\n[sampler]",
+            "noise_factor_log_sd: found 'cam'",
+        ),
         "error on a channel that is not there": (
             "[model_error]\nterms = []",
             "[model_error]\nprobe = { scale = 0.1 }",
@@ -34,8 +38,8 @@ CASES = {
         ),
         "noise of a channel that is not there": (
             "[sampler]",
-            "[unknown_noise]\nprobe = 0.5\n[sampler]",
-            "unknown_noise: found 'probe', expected a group of channels: s, camera, height",
+            "[noise_factor_log_sd]\nprobe = 0.5\n[sampler]",
+            "noise_factor_log_sd: found 'probe', expected a group of channels: s, camera, height",
         ),
         "group of several units": (
             "[sampler]",
@@ -47,21 +51,21 @@ CASES = {
             "[workspace]\nx = [1.0, 0.0]\n[sampler]",
             "expected the smaller number first",
         ),
-        "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["q"]', "no column of channel 'q'"),
+        "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["q"]', "no column of channel 'q'"),
         "commanded by an instrument": (
             TABLE_LINE,
-            f'{TABLE_LINE}\ncommanded = ["s", "height"]',
-            "data.commanded: found 'height', expected some of s[1], s[2], s[3]",
+            f'{TABLE_LINE}\ncommanded_channels = ["s", "height"]',
+            "data.commanded_channels: found 'height', expected some of s[1], s[2], s[3]",
         ),
         "commanded by too few": (
             TABLE_LINE,
-            f'{TABLE_LINE}\ncommanded = ["s[1]", "s[3]"]',
-            "data.commanded: found 2 channels, expected at least 3, one per coordinate",
+            f'{TABLE_LINE}\ncommanded_channels = ["s[1]", "s[3]"]',
+            "data.commanded_channels: found 2 channels, expected at least 3, one per coordinate",
         ),
         "commanded by what a variant leaves out": (
-            'common = ["l"]',
-            'common = ["l"]\nsensors = ["cam_x", "cam_y", "height"]',
-            "data.commanded: found 's[1]', which is not among the sensors",
+            'tied = ["l"]',
+            'tied = ["l"]\nsensors = ["cam_x", "cam_y", "height"]',
+            "data.commanded_channels: found 's[1]', which is not among the sensors",
         ),
         "measured without a source": ('status = "simulated"', 'status = "measured"', "without source or licence"),
     },
@@ -105,7 +109,7 @@ def test_what_is_at_fault_is_named(file, case, tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
     calibrations.change(path.parent / file, old, new)
     if "leaves out" in case:
-        calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["s"]')
+        calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["s"]')
     if case == "not analytic":
         calibrations.change(path.parent / file, 'np.abs(y - parameters["y"]) ** 2', 'np.abs(y - parameters["y"])')
     refuse(path, message)
@@ -127,12 +131,12 @@ title = "Legs"
 seed = 1
 machine = "machine.toml"
 
-[origin]
+[provenance]
 status = "simulated"
 text = "Simulated"
 
 [data]
-measurement = "poses"
+instrument = "poses"
 poses = "data/readings.csv"
 actuators = "data/readings.csv"
 actuator_noise_um = 1.0
@@ -144,7 +148,7 @@ kappa = 0.0
 matrix = "targets"
 
 [model_error]
-scale_um = 5.0
+random_scale_um = 5.0
 
 [parameters]
 l = { prior = "normal", sd = 0.1 }
@@ -170,17 +174,17 @@ def test_a_second_reading_of_the_same_pose(tmp_path, refuse):
 
 def test_a_commanded_channel_without_a_column_or_a_cell(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
-    calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded = ["s"]')
+    calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["s"]')
     table = path.parent / "data" / "readings.csv"
     written = table.read_text()
     table.write_text(written.replace("s_2_mm", "other").replace("s_2_mm", "other"))
     calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\nignore = ["other"]')
-    refuse(path, "found no column of channel 's[2]', which is in data.commanded")
+    refuse(path, "found no column of channel 's[2]', which is in data.commanded_channels")
     lines = written.splitlines()
     cells = lines[4].split(",")
     lines[4] = ",".join([*cells[:3], "", *cells[4:]])
     table.write_text("\n".join(lines) + "\n")
-    refuse(path, "line 5: found no s[2], expected it as data.commanded says")
+    refuse(path, "line 5: found no s[2], expected it as data.commanded_channels says")
 
 
 def test_a_table_without_the_channels_it_should_have(tmp_path, refuse):

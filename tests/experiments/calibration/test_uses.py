@@ -1,4 +1,4 @@
-"""The documented script of a machine of one's own class: its calibration and all uses of that, then from elsewhere."""
+"""The documented script of a user-defined machine class: its calibration and all uses of that, then from elsewhere."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def results(tmp_path_factory) -> Path:
     return folder / "moved"
 
 
-PAGES = ("check/report.html", "study/report.html", "next/report.html")
+PAGES = ("selftest/report.html", "study/report.html", "next_pose/report.html")
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -52,7 +52,7 @@ def read(path: Path) -> pd.DataFrame:
 
 
 def test_the_script_leaves_what_it_says(results):
-    for name in (*PAGES, "certificate.html", "recheck.csv", "machine/calibrated.toml"):
+    for name in (*PAGES, "certificate.html", "plan.csv", "machine/calibrated.toml"):
         assert (results / name).is_file(), name
     poses, again = read(results / "poses.csv"), read(results / "poses_again.csv")
     pd.testing.assert_frame_equal(poses, again, rtol=1e-6)
@@ -76,7 +76,7 @@ def test_the_truth_lies_where_the_posterior_says_and_so_do_held_back_readings(re
     assert (z.abs() < 4.0).all()
     assert (z**2).mean() < 2.5
     assert len(held) == 2 * 5 * 6
-    assert 0.75 <= held["inside"].mean() <= 1.0
+    assert 0.75 <= held["in_interval_90"].mean() <= 1.0
 
 
 def test_arviz_judges_every_posterior(results):
@@ -114,22 +114,22 @@ def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call, d
     assert studies.snapshot(results) == before
 
 
-@pytest.mark.parametrize("use", ["predict", "command", "certificate", "recheck", "export"])
+@pytest.mark.parametrize("use", ["predict", "compensate", "certificate", "verify", "export"])
 def test_a_posterior_that_was_changed_is_refused(use, results, call, tmp_path, voice):
     folder, table = tmp_path / "study", calibrations.OWN_MACHINE / "commands.csv"
     shutil.copytree(results / "study", folder)
     with h5py.File(folder / "posterior" / "all.nc", "r+") as file:
         draws = file["posterior"]["l"]
         draws[:, 0] = 1e6 * draws[:, 0]
-    given = {"command": [results / "poses.csv"], "predict": [table]}.get(use, [])
+    given = {"compensate": [results / "poses.csv"], "predict": [table]}.get(use, [])
     code, out, err = call(use, folder, *given, "--out", tmp_path / "out.html")
     assert (code, out) == (2, "")
-    assert f"{folder}: found posterior/all.nc edited, expected the files as they were written; --force takes" in err
+    assert f"{folder}: found posterior/all.nc edited, expected the files as they were written, or --allow" in err
     assert not (tmp_path / "out.html").exists()
     if use == "predict":
-        code, out, err = call(use, folder, *given, "--force")
+        code, out, err = call(use, folder, *given, "--allow-changed-files")
         assert code == 0
-        assert f"{folder}: found posterior/all.nc edited: overlooked by force\n" in err
+        assert f"{folder}: found posterior/all.nc edited: used all the same (--allow-changed-files)\n" in err
 
 
 def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):
@@ -149,7 +149,7 @@ def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):
         (("export", "study", "--format", "urdf"), "found a machine of functions, expected a mechanism on legs"),
         (("export", "study", "--variant", "none"), "--variant: found 'none', expected one of all, one_rod"),
         (("predict", "study", "poses.csv"), "expected pose, s_1_mm, s_2_mm, s_3_mm"),
-        (("command", "study", "far.csv"), "s[1] has no value there: the machine does not reach it"),
+        (("compensate", "study", "far.csv"), "s[1] has no value there: the machine does not reach it"),
         (("certificate", "study", "--position-mm", 1, 1, 1, "--rotation-deg", 1, 1, 1), "--rotation-deg: found three"),
     ],
 )

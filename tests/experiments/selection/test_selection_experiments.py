@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import tomllib
@@ -13,9 +12,9 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.results import read_results
-from bayescal.experiments.frame.run import find_results_kind, run_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.results import read_results
+from bayescal.experiments.runner.run import find_results_kind, run_experiment
 from bayescal.experiments.selection.inputs import read_selection
 from bayescal.experiments.selection.verdict import Tables
 
@@ -63,9 +62,9 @@ def test_shipped_experiment_writes_everything(result):
     assert len(poses) == selections["n_poses"].sum()
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert config.title in page
-    verdict = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["verdict"]
-    assert verdict
-    assert all(statement["lead"] in page for statement in verdict)
+    findings = read(folder, "findings")
+    assert len(findings) > 0
+    assert all(subject in page for subject in findings["subject"])
     assert (folder / "errors.csv").is_file() is (config.calibrations is not None)
 
 
@@ -76,7 +75,7 @@ def test_config_is_read_back_whole(result):
     found = find_results_kind(folder, results).config_of(results)
     assert found.model_dump() == config.model_dump()
     required = config.name == "pose_selection_i_optimal"
-    assert Tables(found, results).metric == ("simulated_share_of_limits" if required else "mean_position_um")
+    assert Tables(found, results).metric == ("simulated_over_limits" if required else "mean_position_um")
 
 
 def test_written_values_are_those_of_the_poses(result):
@@ -158,18 +157,18 @@ points_mm = [[79, 14, 0], [-27, 75, 0], [-51, 61, 0], [-51, -61, 0], [-27, -75, 
 position_mm = [0.0, 0.0, 100.0]
 
 [legs]
-drive = "strut"
+actuated_joint = "strut"
 actuator_range_mm = 118.0
 """
 HEADER = "drho_1_mm,drho_2_mm,drho_3_mm,drho_4_mm,drho_5_mm,drho_6_mm"
-FLAT_BOX = 'within = "workspace"\nposition_mm = [50.0, 50.0, 100.0]\nrotation_deg = [1.0, 1.0, 1.0]'
-NARROW_BOX = 'within = "workspace"\nposition_mm = [5.0, 0.0, 0.0]\nrotation_deg = [0.0, 0.0, 0.0]'
-EVEN = 'spread = "even"\nlevels = 3'
+FLAT_BOX = 'kind = "workspace"\nposition_mm = [50.0, 50.0, 100.0]\nrotation_deg = [1.0, 1.0, 1.0]'
+NARROW_BOX = 'kind = "workspace"\nposition_mm = [5.0, 0.0, 0.0]\nrotation_deg = [0.0, 0.0, 0.0]'
+EVEN = 'layout = "even"\nlevels = 3'
 MEASURED = '[measured]\nconfigurations = "table.csv"\n\n[domain]'
 GIVEN = '[[designs]]\nname = "theirs"\nconfigurations = "table.csv"\n\n[domain]'
 BAD = {
     "unknown domain": (
-        {'within = "actuators"': 'within = "nowhere"'},
+        {'kind = "actuators"': 'kind = "nowhere"'},
         r"found 'nowhere', expected one of 'workspace', 'actuators'",
     ),
     "unknown criterion": ({'criteria = ["O1"]': 'criteria = ["O6"]'}, r"found 'O6', expected"),
@@ -196,11 +195,11 @@ BAD = {
         r"table\.csv, line 2: drho_6_mm: found inf, expected a finite number",
     ),
     "bounds not finite": (
-        {'within = "actuators"': NARROW_BOX.replace("5.0", "nan")},
+        {'kind = "actuators"': NARROW_BOX.replace("5.0", "nan")},
         r"domain\.workspace\.position_mm\.0: found nan, expected a finite number",
     ),
     "singular candidate": (
-        {'within = "actuators"': FLAT_BOX, 'spread = "random"': EVEN, "mechanism": FLAT},
+        {'kind = "actuators"': FLAT_BOX, 'layout = "random"': EVEN, "mechanism": FLAT},
         r"candidate \d+ \([^)]*z -100 mm[^)]*\): singular pose Jacobian J_1, expected poses away from singularities",
     ),
     "given pose that is singular": (

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 
 FOLDER = studies.EXPERIMENTS / "pose_selection"
 RESULTS = studies.EXPERIMENTS.parent / "results"
@@ -49,6 +49,6 @@ def test_order_of_figure_14_from_15_poses_on():
 
 def test_i_optimal_poses_are_better_than_o1_optimal_ones():
     table = read("pose_selection_i_optimal", "error_summary").set_index(["name", "n_poses"])
-    for column in ("predicted_share_of_limits", "simulated_share_of_limits"):
+    for column in ("predicted_over_limits", "simulated_over_limits"):
         ratio = table.loc["I", column] / table.loc["O1", column]
         assert ((ratio > 0.97) & (ratio < 0.995)).all(), column

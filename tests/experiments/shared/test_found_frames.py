@@ -24,7 +24,7 @@ NOWHERE = (float("nan"),) * 3
 
 
 class Beam(Instrument):
-    """Where the tool is seen by a camera that turns all it sees: a class of one's own whose frame nobody states."""
+    """Where the tool is seen by a camera that turns all it sees: a user-defined class whose frame nobody states."""
 
     def __init__(self, config=None):
         super().__init__(config)
@@ -43,7 +43,7 @@ def make_config(machine):
     return StudyConfig.model_validate(
         {
             **{"kind": "study", "name": "found", "title": "found", "seed": 1, "machine": "machine.toml"},
-            **{"origin": {"status": "simulated", "text": "drawn"}, "data": [{"file": "readings.csv"}]},
+            **{"provenance": {"status": "simulated", "text": "drawn"}, "data": [{"file": "readings.csv"}]},
             **{"sensors": {"seen": {"noise_mm": 0.02}}, "parameters": {symbol: {"prior": "normal", "sd": 0.01}}},
             "variants": [{"name": "all", "title": "all", "free": [symbol]}],
         }
@@ -89,7 +89,7 @@ CASES = {
         DistanceInstrument(DistanceInstrument.Config(zero_mm="found")),
         {"anchor": np.array([300.0, 350.0, -100.0]), "zero": np.array([41.0])},
     ),
-    "an instrument of one's own": (build_arm, Beam(), {"r": FRAME[1]}),
+    "a user-defined instrument": (build_arm, Beam(), {"r": FRAME[1]}),
     "a target far from the tool": (
         build_legs,
         PointInstrument(PointInstrument.Config(target_mm="found")),
@@ -125,6 +125,59 @@ def test_what_nobody_states_is_found(case, rng):
     freed = found.free(config)
     assert set(found.wide) <= set(freed.variants[0].free)
     assert all(freed.parameters[symbol].sd > 1.0 for symbol in found.wide)
+
+
+class LongWay(Beam):
+    """The same, whose proposal turns the other way round, further than half a turn."""
+
+    def propose(self, stated, seen, position, rotation):
+        size = np.linalg.norm(FRAME[1])
+        return [{"r": FRAME[1] * (1.0 - 2.0 * np.pi / size)}]
+
+
+class Yaw(Instrument):
+    """A camera that is turned about z by an angle that nobody states, and looked for a turn further."""
+
+    def __init__(self, config=None):
+        super().__init__(config)
+        self.parameters = [ParameterBlock("yaw", NOWHERE[:1], "rad", per_leg=False)]
+        self.channels = [Channel(f"[{axis}]", "mm") for axis in "uvw"]
+
+    def see(self, parameters, position, rotation):
+        c, s = np.cos(parameters["yaw"]), np.sin(parameters["yaw"])
+        x, y, z = position[..., 0], position[..., 1], position[..., 2]
+        return np.stack(np.broadcast_arrays(c * x - s * y, s * x + c * y, z), axis=-1)
+
+    def propose(self, stated, seen, position, rotation):
+        return [{"yaw": np.array([0.7 + 2.0 * np.pi])}]
+
+
+class Offsets(Yaw):
+    """Three angles, each by itself, which are no rotation vector."""
+
+    def __init__(self, config=None):
+        super().__init__(config)
+        self.parameters = [ParameterBlock("o", NOWHERE, "rad")]
+
+    def see(self, parameters, position, rotation):
+        return position + 100.0 * parameters["o"]
+
+    def propose(self, stated, seen, position, rotation):
+        return [{"o": np.array([2.5, 2.4, -2.3])}]
+
+
+@pytest.mark.parametrize(
+    ("one", "true"),
+    [(LongWay(), {"r": FRAME[1]}), (Yaw(), {"yaw": np.array([0.7])}), (Offsets(), {"o": np.array([2.5, 2.4, -2.3])})],
+    ids=["rotation vector", "angle", "three angles"],
+)
+def test_what_is_found_turns_by_half_a_turn_at_most(one, true, rng):
+    machine = build_arm()
+    readings, sd = read(machine, {"seen": one}, {"seen": true}, rng)
+    (settled,) = find_frames(make_config(machine), machine, {"seen": one}, readings, sd, ()).instruments.values()
+    (symbol,) = true
+    (block,) = (own for own in settled.parameters if own.symbol == symbol)
+    np.testing.assert_allclose(block.nominal, true[symbol], atol=0.02)
 
 
 def test_what_own_channels_do_not_tell_has_to_be_stated(rng):

@@ -24,12 +24,14 @@ def test_readings_taken_twice_count_twice(measured):
     twice = measured.retake(np.concatenate([values, values]))
     data = twice.posterior.likelihood.data
     assert data.n_poses == len(set(data.poses)) == 24
-    y = measured.posterior.approach()[None]
-    alone, both = (one.log_density(y) - one.log_prior(y) for one in (measured.anchored, twice.anchored))
+    y = measured.posterior.least_squares_start()[None]
+    alone, both = (
+        one.log_density(y) - one.log_prior(y) for one in (measured.with_pose_guesses, twice.with_pose_guesses)
+    )
     assert both == pytest.approx(2.0 * alone, rel=1e-6)
 
 
 def test_some_poses_are_those_of_all(measured):
-    some, y = measured.pick(np.arange(5)), measured.posterior.approach()[None]
+    some, y = measured.pick(np.arange(5)), measured.posterior.least_squares_start()[None]
     assert some.posterior.likelihood.data.poses == measured.posterior.likelihood.data.poses[:5]
     np.testing.assert_allclose(some.posterior.pointwise(y), measured.posterior.pointwise(y)[:, :5], rtol=1e-9)

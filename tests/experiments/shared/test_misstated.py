@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayescal.experiments.selftest.inputs import read_selftest
+from bayescal.experiments.selftest.kind import configure_selftest
 from bayescal.experiments.shared.misstated import find_misstated
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.slip_verdict import Rival
@@ -16,9 +19,8 @@ from bayescal.identifiability.requirements import Requirement
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "slips"
 sys.path.insert(0, str(BENCHMARK))
-from plants import PLANTS  # noqa: E402
-
 from machines import read_subject, write_project  # noqa: E402
+from plants import PLANTS  # noqa: E402
 
 sys.path.remove(str(BENCHMARK))
 
@@ -76,3 +78,26 @@ def test_without_a_model_error_what_noise_does_not_explain_is_said(delta):
     found = find_misstated([replace(measured, posterior=drop_model_error(measured.posterior)).readings])
     assert found is not None
     assert found.factor > 1.5
+
+
+CASES = Path(__file__).parents[2] / "cases"
+CELLS = {
+    "functions as good": ("own_term_shrinks_gains", "sd = 0.3", "tolerance or model error"),
+    "nothing as good": ("cells_under_masses", "sd = 0.05", "tolerance"),
+}
+
+
+@pytest.mark.parametrize("case", CELLS)
+def test_gains_with_tolerances_far_too_tight_are_said_to(case, tmp_path):
+    """A machine of no lengths, of which errors within what is allowed for could be the gains' as well."""
+    name, stated, fault = CELLS[case]
+    path = shutil.copytree(CASES / name, tmp_path / name) / "study.toml"
+    text, width, found = path.read_text(), float(stated.partition("= ")[2]), {}
+    for share in (1.0, 0.003):
+        path.write_text(text.replace(stated, f"sd = {share * width:g}"))
+        (subject,) = read_selftest(configure_selftest(path, [], None, None), path.parent).subjects.values()
+        found[share] = find_misstated([subject.measured.readings])
+    assert found[1.0] is None or found[1.0].fault == "wide tolerance"
+    assert found[0.003].fault == fault
+    assert 8.0 <= found[0.003].factor <= 100.0
+    assert found[0.003].gain > 5.0

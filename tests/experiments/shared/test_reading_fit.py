@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.stats import binom
 
 from bayescal.density.calibration.prediction import replicate_readings
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.experiments.shared.soundness import measure_pulls
@@ -35,7 +35,7 @@ def make_posterior(rng, truth, noise=1.0, correlated=False, robust=np.inf, n_pos
     data = measurements(values, SD, correlation if correlated else None)
     names = model.layout.names
     priors = {names[0]: NormalPrior(0.0, 1.0), names[1]: UniformPrior(-2.0, 2.0), names[2]: NormalPrior(0.0, 0.5)}
-    return Posterior(density(model, data), priors, Errors(outliers=rows_of(robust))), pose
+    return Posterior(density(model, data), priors, ErrorModel(outliers=rows_of(robust))), pose
 
 
 def draw_truth(rng):
@@ -50,7 +50,7 @@ def test_readings_at_the_true_poses_follow_the_replicates_of_the_true_machine(ca
         for _ in range(60):
             truth = draw_truth(rng)
             posterior, pose = make_posterior(rng, truth, noise, **case)
-            y = posterior.adopt(truth[None], np.empty((1, 0)))
+            y = posterior.to_coordinates(truth[None], np.empty((1, 0)))
             made = replicate_readings(posterior, np.repeat(y, 200, axis=0), rng, pose)
             assert (np.isnan(made) == np.isnan(posterior.likelihood.data.values)).all()
             ranks.append((made[:, 1, 2] < posterior.likelihood.data.values[1, 2]).mean())
@@ -96,13 +96,13 @@ def test_noise_stated_too_small_shows_in_the_misfit_and_tight_tolerances_in_the_
     for noise, off in ((1.0, False), (3.0, True)):
         rng = np.random.default_rng(10)
         posterior, _ = make_posterior(rng, draw_truth(rng), noise, n_poses=60)
-        found = ReadingSubject(posterior).measure_misfit(posterior, posterior.approach())
+        found = ReadingSubject(posterior).measure_misfit(posterior, posterior.least_squares_start())
         assert found.dof == pytest.approx(60 * 4 - 1 - 3, abs=0.1)
         assert found.is_off == off
     for far, off in ((0.7, False), (6.0, True)):
         rng = np.random.default_rng(11)
         posterior, _ = make_posterior(rng, np.array([far, 0.5, -0.5 * far]), n_poses=60)
-        draws = posterior.natural(posterior.approach() + 0.03 * rng.standard_normal((500, 3)))
+        draws = posterior.natural(posterior.least_squares_start() + 0.03 * rng.standard_normal((500, 3)))
         assert measure_pulls(posterior, draws).is_off == off
 
 
@@ -112,7 +112,7 @@ def test_other_priors_take_over_machines_within_their_bounds():
     middle = posterior.names[1]
     narrow = replace(posterior, priors={**posterior.priors, middle: UniformPrior(-0.5, 0.5)})
     y = np.array([[0.4, 0.1, -1.0], [0.4, 2.0, -1.0]])
-    moved = narrow.adopt(posterior.theta(y), np.empty((2, 0)))
+    moved = narrow.to_coordinates(posterior.theta(y), np.empty((2, 0)))
     np.testing.assert_allclose(narrow.natural(moved[0]), posterior.natural(y[0]), atol=1e-12)
     assert narrow.natural(moved[1])[1] == pytest.approx(0.499)
 
@@ -132,7 +132,7 @@ def explain(rng, spoilt=0.0):
     posterior, _ = make_posterior(rng, draw_truth(rng), n_poses=25)
     likelihood = posterior.likelihood
     likelihood.data.values[3, 2] += spoilt * SD
-    at = likelihood.explain(*posterior.at(posterior.approach()[None]))[1]
+    at = likelihood.explain(*posterior.at(posterior.least_squares_start()[None]))[1]
     nothing = np.empty((25, 0))
     return Residuals(nothing, nothing, nothing, at.square[0], np.ones(25), likelihood.n_spare)
 

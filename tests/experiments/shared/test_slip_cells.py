@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayescal.experiments.frame.load import load
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.slip_cells import weigh_cells
 from bayescal.experiments.study.inputs import StudyInputs
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.readings import workspace
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.shared.readings.workspace import Workspace
@@ -20,7 +20,7 @@ def study(tmp_path_factory):
     """Return the config of a study of many rows, with the folder of its files."""
     folder = calibrations.copy_delta(tmp_path_factory.mktemp("many"))
     path = folder / "simulate.toml"
-    for name, text in studies.simulate(path, n_poses=N_ROWS, verification_poses=0).files.items():
+    for name, text in studies.simulate(path, n_poses=N_ROWS, n_verification_poses=0).files.items():
         (folder / "data" / name).write_text(text)
     return load_experiment(folder / "study.toml"), folder
 

@@ -6,7 +6,7 @@ import numpy as np
 import planar_rrr
 import pytest
 
-from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
+from bayescal.experiments.shared.outlook import describe_determinacy, join_outlooks
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
     ],
 )
 def test_combinations_are_counted_by_their_contraction(size, said):
-    text = tell_outlook("9 readings", np.diag(size), ["a", "b"])
+    text = describe_determinacy("9 readings", np.diag(size), ["a", "b"])
     assert said in text
     assert ("stays at its tolerance" in text) == (size == [10.0, 0.0])
     assert ("2 stay at their tolerances" in text) == (size == [0.0, 0.0])

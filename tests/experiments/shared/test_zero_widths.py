@@ -34,8 +34,8 @@ def test_a_member_of_zero_width_is_known(prior, key):
         assert not fixed
     with pytest.raises(InputError, match=r"free: found 'zero\[3\]'"):
         choose_priors(tolerances, FreeConfig(free=["zero[3]"]), layout)
-    with pytest.raises(InputError, match="common"):
-        choose_priors(tolerances, FreeConfig(common=["zero"]), layout)
+    with pytest.raises(InputError, match="tied"):
+        choose_priors(tolerances, FreeConfig(tied=["zero"]), layout)
 
 
 @pytest.mark.parametrize("sd", [0.0, [0.0, 0.0, 0.0], [0.5, -0.5, 0.0]])
@@ -53,4 +53,4 @@ def test_no_noise_needs_no_unit(value):
 
 
 def test_an_empty_list_of_factors_asks_for_nothing():
-    assert SensitivityConfig(factor=[], tau_scale_um=[]).factor == []
+    assert SensitivityConfig(prior_width_factors=[], random_scale_grid_um=[]).prior_width_factors == []

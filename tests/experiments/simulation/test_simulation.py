@@ -15,7 +15,7 @@ from scipy import stats
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, read_model, survey_twin
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -251,7 +251,7 @@ def test_simulated_readings_are_of_the_machine_that_the_data_are_of():
 
 def test_simulated_frames_are_not_drawn():
     prior = load_experiment(STAR / "study.toml").parameters
-    changed = {"truth": None, "parameters": prior, "fixed": [*FRAMES], "common": ["l"]}
+    changed = {"truth": None, "parameters": prior, "fixed": [*FRAMES], "tied": ["l"]}
     truth = studies.simulate(STAR / "simulate.toml", seed=1, **changed).tables["truth"].set_index("parameter")
     names = read_reading_model(STAR / "machine.toml").layout.names
     assert set(names) - set(truth.index) == set(FRAMES)  # the table has what is off its nominal value
@@ -271,7 +271,11 @@ def test_a_mechanism_has_readings_as_every_machine(config):
     """Its actuators' and its pose's, of the machine of the same truth as the survey is of."""
     text = config.read_text()
     truth = text[text.index("[truth]") : text.index("[poses]")]
-    head = text[: text.index("[origin]")] + "n_poses = 4\n\n" + text[text.index("[origin]") : text.index("[truth]")]
+    head = (
+        text[: text.index("[provenance]")]
+        + "n_poses = 4\n\n"
+        + text[text.index("[provenance]") : text.index("[truth]")]
+    )
     sensors = "[sensors]\nrho = { noise_um = 0.0 }\nx = { noise_um = 0.0 }\ntilt_a = { noise_deg = 0.1 }\n"
     config.write_text(head + truth + sensors)
     made = studies.simulate(config)
@@ -299,13 +303,13 @@ def test_a_mechanism_has_readings_as_every_machine(config):
         ('calibration = "calib', 'calibration = "kalib', "no such file"),
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
         ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected either offsets or parameters"),
-        ("pad_radius_mm = 12.0", "", "found per_pad 2 without pad_radius_mm, expected both"),
+        ("pad_radius_mm = 12.0", "", "found targets_per_pad 2 without pad_radius_mm, expected both"),
         ('model = "six_pus"', "", "model: found none, expected the kinematic model of the mechanism"),
-        ('status = "reconstructed"', 'status = "measured"', "origin.status: found 'measured', expected"),
+        ('status = "reconstructed"', 'status = "measured"', "provenance.status: found 'measured', expected"),
         ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside targets, expected either"),
         ("target_um = 3.0", "", "noise.target_um: found none beside targets, expected it"),
         ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found beside instrument, expected either"),
-        ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: key is gone, expected machine"),
+        ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: unknown key"),
     ],
 )
 def test_faulty_simulation(config, old, new, expected):
@@ -321,7 +325,7 @@ def test_faulty_simulation(config, old, new, expected):
     [
         ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument] of a machine on legs"),
         ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
-        ("[sensors]", 'model = "six_ups"\n[sensors]', "origin.model: unknown key"),
+        ("[sensors]", 'model = "six_ups"\n[sensors]', "provenance.model: unknown key"),
         (
             "n_poses = 6",
             'n_poses = 6\nmodel = "six_ups"',

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import bayescal as bc
-from bayescal.calibrated.predict import command_poses, predict_poses
-from bayescal.experiments.frame.load import load
+from bayescal.calibrated.predict import compensate_poses, predict_poses
+from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.files.csv_tables import read_table
 from bayescal.projects.start import start_project
@@ -70,7 +70,7 @@ def test_the_truth_is_written_and_taken_again(folder):
 def test_the_machine_that_explains_the_data_best_has_them(folder):
     variant = next(iter(read(folder / "study.toml").variants.values()))
     posterior = variant.posterior()
-    theta = posterior.theta(posterior.approach())
+    theta = posterior.theta(posterior.least_squares_start())
     places = [posterior.sampling.names.index(f"gain[{leg}]") for leg in range(1, 7)]
     index = variant.model.layout.index["gain"]
     assert len(places) == 6
@@ -124,7 +124,7 @@ def test_gains_of_actuators_that_are_not_read_are_refused(folder, refuse):
 @pytest.mark.slow
 @pytest.mark.parametrize("machine_kind", ["hexapod", "carriages"])
 def test_they_come_back_and_stay_with_the_machine(machine_kind, tmp_path, call):
-    """Within their intervals; results, export and what is read of it agree, and rechecks plan with them."""
+    """Within their intervals; results, export and what is read of it agree, and reverifications plan with them."""
     folder = tmp_path / "mine"
     start_project(folder, machine_kind, "poses")
     simulate(folder, "[abu]_.|rho0")  # what is not free in the study is as drawn
@@ -136,21 +136,21 @@ def test_they_come_back_and_stay_with_the_machine(machine_kind, tmp_path, call):
     found = rows.loc[[f"gain[{leg}]" for leg in range(1, 7)]]
     assert (np.abs(found["mean"] - GAINS) < 4.0 * found["sd"]).all()
     assert (found["sd"] < 1e-3).all()
-    error = results.tables["model_error"].set_index("term")["median_um"]
+    error = results.tables["model_error"].set_index("term")["median"]
     assert error.max() < 10.0
     assert results.summary["gains"]["rho[3]"] == "gain[3]"
-    machine = load_calibrated(tmp_path / "out", force=True)
-    assert call("export", tmp_path / "out", "--out", tmp_path / "exported", "--force")[0] == 0
-    exported = load_calibrated(tmp_path / "exported", force=True)
+    machine = load_calibrated(tmp_path / "out", allow_unconverged=True)
+    assert call("export", tmp_path / "out", "--out", tmp_path / "exported", "--allow-unconverged")[0] == 0
+    exported = load_calibrated(tmp_path / "exported", allow_unconverged=True)
     table = read_table(folder / "data" / "actuators.csv", None)
     actuators = table.numbers([f"rho_{leg}_mm" for leg in range(1, 7)])
     one, other = (predict_poses(some, actuators) for some in (machine, exported))
     np.testing.assert_allclose(other.tool, one.tool, rtol=0, atol=1e-9)
     truth = read_table(folder / "data" / "true_poses.csv", None).numbers(["x_mm", "y_mm", "z_mm"])
     assert np.abs(one.tool[:, :3] - truth).max() < 0.1
-    np.testing.assert_allclose(command_poses(exported, one.tool).commands, actuators, rtol=0, atol=1e-6)
-    plan = ("recheck", tmp_path / "exported", "--force", "--position-um", "10", "--orientation-arcsec", "5")
-    code, said, _ = call(*plan, "--shift-of", "gain", "--shift-sd", "50", "--out", tmp_path / "plan.csv")
+    np.testing.assert_allclose(compensate_poses(exported, one.tool).commands, actuators, rtol=0, atol=1e-6)
+    plan = ("verify", tmp_path / "exported", "--allow-unconverged", "--position-um", "10", "--orientation-arcsec", "5")
+    code, said, _ = call(*plan, "--parameters", "gain", "--shift-sd", "50", "--out", tmp_path / "plan.csv")
     assert code == 0, said
     nothing = call(*plan, "--measured", folder / "data" / "poses.csv", "--actuators", folder / "data" / "actuators.csv")
     assert nothing[0] == 0

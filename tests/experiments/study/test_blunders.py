@@ -8,8 +8,8 @@ import pytest
 import studies
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment, write_report
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment, write_report
 
 pytestmark = pytest.mark.runs
 
@@ -25,7 +25,7 @@ def write_study(folder):
 
 
 def allow_outliers(path, share="0.02"):
-    path.write_text(path.read_text().replace("[[variants]]\n", f"[[variants]]\noutlier_share = {share}\n"))
+    path.write_text(path.read_text().replace("[[variants]]\n", f"[[variants]]\noutlier_fraction = {share}\n"))
     return path
 
 
@@ -55,10 +55,10 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures, search_l
     table = finished.results.table("poses")
     best = table[table["variant"] == finished.summary["rankings"][0][0]]
     assert len(best) == studies.N_CALIBRATION
-    named = list(best[best["contradicting"]]["pose"].astype(str))
+    named = list(best[best["is_outlier"]]["pose"].astype(str))
     assert named == ([pose] if spoiled else [])
-    said = [one.text for one in finished.page.verdict if one.lead == "Outliers"]
-    assert any(text.startswith(f"Check the readings of {pose}: 1 pose disagrees") for text in said) == spoiled
+    actions = [one.action for one in finished.page.verdict if one.lead == "Outliers"]
+    assert any(pose in action for action in actions) == spoiled
     fit = finished.summary["variants"]["six_pus/matrix"]
     assert studies.read_posterior(tmp_path / "out", "six_pus/matrix")["epsilon"]["verdict"] == "noise"
     assert fit["misfit_chi2"] < 2.0 * fit["misfit_dof"]
@@ -68,27 +68,27 @@ def test_blunders_are_named_on_the_page(tmp_path, spoiled, no_pictures, search_l
 def test_variants_with_and_without_stand_side_by_side(tmp_path, no_pictures, search_little):
     path = write_study(tmp_path)
     own = '[[variants]]\nmodel = "six_pus"\ndeformation = "matrix"\nfree = ["l", "kappa"]\n'
-    studies.edit(path, own, f'{own}\n{own}name = "wary"\noutlier_share = 0.02\n')
+    studies.edit(path, own, f'{own}\n{own}name = "wary"\noutlier_fraction = 0.02\n')
     for spoiled in (False, True):
         if spoiled:
             spoil(path, first_pose(path))
         finished = run_experiment(load_experiment(path), tmp_path, tmp_path / f"out{spoiled}")
         table, (first, *_) = finished.results.table("poses"), finished.summary["rankings"][0]
         assert first == ("wary" if spoiled else "six_pus/matrix")
-        assert table[table["variant"] == "wary"]["contradicting"].any() == spoiled
+        assert table[table["variant"] == "wary"]["is_outlier"].any() == spoiled
 
 
 def test_a_study_without_them_says_nothing(tmp_path):
     path = studies.write_tiny_study(tmp_path)
     plain = load_experiment(path).model_dump(mode="json")
-    assert not any("outlier_share" in one for one in plain["variants"])
-    assert all(one.outlier_share == 0.02 for one in load_experiment(allow_outliers(path)).variants)
+    assert not any("outlier_fraction" in one for one in plain["variants"])
+    assert all(one.outlier_fraction == 0.02 for one in load_experiment(allow_outliers(path)).variants)
 
 
 @pytest.mark.parametrize("share", ["0.0", "0.5", "-1", '"few"'])
 def test_impossible_shares_are_refused(tmp_path, share):
     path = allow_outliers(studies.write_tiny_study(tmp_path), share)
-    with pytest.raises(InputError, match=r"variants.0.outlier_share"):
+    with pytest.raises(InputError, match=r"variants.0.outlier_fraction"):
         load_experiment(path)
 
 
@@ -97,8 +97,8 @@ def test_poses_measured_in_part_may_be_outliers_too(tmp_path):
     path = studies.copy_small(folder / "study.toml", tmp_path / "camera")
     allow_outliers(path)
     inputs = studies.load_study(path)
-    posterior = next(iter(inputs.variants.values())).posterior().anchored()
-    y = posterior.approach()[None]
+    posterior = next(iter(inputs.variants.values())).posterior().with_pose_guesses()
+    y = posterior.least_squares_start()[None]
     square = np.sum(posterior.likelihood.residuals(*posterior.at(y)) ** 2, axis=-1)
     trust = posterior.errors.tails(posterior.zeta(y)).trust(square, posterior.likelihood.n_spare)[0]
     assert posterior.names[-1] == "epsilon"

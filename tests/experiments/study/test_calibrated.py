@@ -13,8 +13,8 @@ import studies
 from bayescal.calibrated.predict import predict_poses
 from bayescal.data.instruments.read_poses import PoseNoise, read_poses
 from bayescal.errors import InputError
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.read import load_mechanism
@@ -116,8 +116,11 @@ def test_every_command_takes_the_exported_mechanism(study, call):
 def test_command_and_predict_undo_each_other(study, call):
     actuators = draw_actuators(20)
     write_actuators(Path("actuators.csv"), actuators)
-    assert call("predict", "out", "actuators.csv", "--out", "poses.csv", "--draws", "draws.csv", "--n-draws", 5)[0] == 0
-    assert call("command", "out", "poses.csv", "--out", "commanded.csv")[0] == 0
+    assert (
+        call("predict", "out", "actuators.csv", "--out", "poses.csv", "--draws-out", "draws.csv", "--n-draws", 5)[0]
+        == 0
+    )
+    assert call("compensate", "out", "poses.csv", "--out", "commanded.csv")[0] == 0
     rows = [line.split(",") for line in Path("commanded.csv").read_text().splitlines() if not line.startswith("#")]
     assert rows[0][:3] == ["pose", "reached", "rho_1_mm"]
     assert {row[1] for row in rows[1:]} == {"yes"}
@@ -147,11 +150,11 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse, call):
     x, y = home.position[0, :2]
     rows = [f"home,{x},{y},{z},{turn}", f"high,{x},{y},{z + 9},{turn}", f"far,{x},{y + 800},{z},{turn}"]
     Path("poses.csv").write_text("\n".join(["pose,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg", *rows]) + "\n")
-    message = refuse("command", "out", "poses.csv", "--out", "commanded.csv")
+    message = refuse("compensate", "out", "poses.csv", "--out", "commanded.csv")
     assert "poses.csv: found 2 of 3 poses out of reach" in message
     assert "line 3, pose 'high': rho[1] would be " in message
     assert "line 4, pose 'far': rho[1] has no value there" in message
-    code, out, _ = call("command", "out", "poses.csv", "--mark")
+    code, out, _ = call("compensate", "out", "poses.csv", "--allow-unreachable")
     rows = [line for line in out.splitlines() if not line.startswith("#")]
     assert code == 0
     assert rows[1].startswith("home,yes,")
@@ -170,7 +173,7 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse, call):
         (("export", "nowhere"), "nowhere/provenance.json: no such file"),
         (("export", "out", "--out", "study.toml"), "study.toml: is no directory, expected one"),
         (("predict", "out", "far.csv"), "far.csv: pose 'P0', leg 1: found 20 mm"),
-        (("command", "out", "far.csv"), "far.csv: found no column 'x_mm'"),
+        (("compensate", "out", "far.csv"), "far.csv: found no column 'x_mm'"),
     ],
 )
 def test_refusals(study, refuse, arguments, expected):
@@ -184,10 +187,10 @@ def test_without_convergence_only_by_force_and_the_file_says_so(study, refuse, c
     write_actuators(Path("actuators.csv"), draw_actuators(2))
     for arguments in (("export", "out"), ("predict", "out", "actuators.csv")):
         assert "variant 'six_pus/matrix' did not converge (R-hat 1.2, limit 1.01)" in refuse(*arguments)
-    assert call("export", "out", "--force", "--out", "machine")[0] == 0
-    assert "# NOT CONVERGED, written by force: R-hat 1.2" in Path("machine/mechanism.toml").read_text()
+    assert call("export", "out", "--allow-unconverged", "--out", "machine")[0] == 0
+    assert "# NOT CONVERGED, written with --allow-unconverged: R-hat 1.2" in Path("machine/mechanism.toml").read_text()
     assert "did not converge" in refuse("predict", "machine", "actuators.csv")
-    code, out, _ = call("predict", "machine", "actuators.csv", "--force")
+    code, out, _ = call("predict", "machine", "actuators.csv", "--allow-unconverged")
     assert code == 0
     assert "# NOT CONVERGED" in out
 
@@ -256,8 +259,8 @@ def test_a_certificate_states_a_budget_and_how_it_was_checked(study, call):
 def test_a_certificate_is_refused_in_a_line(study, refuse):
     assert "expected a name that ends with .html" in refuse("certificate", "out", "--out", "machine.pdf")
     assert "cube: found a pose out of reach" in refuse("certificate", "out", "--cube", 500, "--poses", 16)
-    found = refuse("certificate", "out", "--whole-range", "--position-mm", 1, 1, 1)
-    assert "--whole-range: found beside --position-mm" in found
+    found = refuse("certificate", "out", "--full-range", "--position-mm", 1, 1, 1)
+    assert "--full-range: found beside --position-mm" in found
     assert "--rotation-deg: found without --position-mm" in refuse("certificate", "out", "--rotation-deg", 1, 1, 1)
     assert "expected half extents of 0 or more" in refuse("certificate", "out", "--position-mm", -1, 1, 1)
     shutil.rmtree("out/posterior")
@@ -267,7 +270,9 @@ def test_a_certificate_is_refused_in_a_line(study, refuse):
 def test_a_certificate_by_force_says_first_what_is_wrong(study, refuse, call):
     change_summary(lambda fit: fit.update(problems="R-hat 1.2, limit 1.01", converged=False))
     assert "did not converge" in refuse("certificate", "out")
-    arguments = ("certificate", "out", "--force", "--out", "machine.html", "--poses", 16, "--cube", 0.2)
+    arguments = ("certificate", "out", "--allow-unconverged", "--out", "machine.html", "--poses", 16, "--cube", 0.2)
     assert call(*arguments)[0] == 0
-    assert "Not converged, certified by force: R-hat 1.2, limit 1.01." in Path("machine.html").read_text()
+    assert (
+        "Not converged, certified with --allow-unconverged: R-hat 1.2, limit 1.01." in Path("machine.html").read_text()
+    )
     assert json.loads(Path("machine.json").read_text())["problems"] == ["R-hat 1.2, limit 1.01"]

@@ -15,7 +15,7 @@ import pytest
 import studies
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
@@ -53,14 +53,14 @@ class Shipped:
         return theta
 
     def survey(self, theta: np.ndarray, seed: int) -> None:
-        """Put a survey of a machine in place of the shipped one."""
+        """Put a survey of a machine instead of the shipped one."""
         survey = survey_twin(self.twin, np.random.default_rng(seed), theta)[0]
         studies.write_texts(self.folder / "data", format_survey(survey, "Simulated for the tests"))
 
     def infer(self, theta: np.ndarray, seed: int, name: str = "study") -> Outcome:
         """Return how the posterior of the survey fares against the machine that it is of."""
         inputs = StudyInputs.load(self.config(name), self.folder, [self.variant])
-        posterior = inputs.variants[self.variant].posterior().anchored()
+        posterior = inputs.variants[self.variant].posterior().with_pose_guesses()
         y = draw(posterior, seed)
         draws = posterior.natural(y)[:, : posterior.n_geometry]
         places = [self.twin.machine.layout.names.index(name) for name in posterior.sampling.names]

@@ -7,14 +7,14 @@ import pytest
 import studies
 from experiments.study.test_instrument_study import FRAMES, leave_positions, write_points
 
-from bayescal.density.sorts import SORTS
+from bayescal.density.pose_kernels import POSE_KERNELS
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import compute_experiment
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.study.readings import ReadingSubject
 
-SCALES = ["tau", *(f"sigma_{name}" for name in SORTS)]
+SCALES = ["tau", *(f"sigma_{name}" for name in POSE_KERNELS)]
 NAME = "six_pus/none"
 
 
@@ -62,19 +62,19 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path, search_little):
     bare = compute_experiment(load_experiment(bare_config), tmp_path)
     legs, names = [f"rho[{k}]" for k in range(1, 7)], list(inputs.variants[NAME].data.poses)
     terms = results.table("model_error")
-    assert list(terms["term"]) == ["independent", *SORTS, "together"]
-    assert (terms["q05_um"] <= terms["median_um"]).all()
-    assert (terms["median_um"] <= terms["q95_um"]).all()
+    assert list(terms["term"]) == ["random", *POSE_KERNELS, "systematic_total"]
+    assert (terms["q05"] <= terms["median"]).all()
+    assert (terms["median"] <= terms["q95"]).all()
     # but for points the twin has a deformation matrix of some 1e-3, which the machine of the variant lacks
     deformed = instrument != "points"
-    assert (terms.set_index("term").loc[list(SORTS), "q95_um"].max() > 10.0) == deformed
+    assert (terms.set_index("term").loc[list(POSE_KERNELS), "q95"].max() > 10.0) == deformed
     members = results.table("model_error_members")
-    assert list(members["member"]) == [leg for leg in legs for _ in SORTS]
-    assert list(members["term"]) == list(SORTS) * 6
+    assert list(members["member"]) == [leg for leg in legs for _ in POSE_KERNELS]
+    assert list(members["term"]) == list(POSE_KERNELS) * 6
     poses = results.table("model_error_poses")
     assert list(poses["pose"]) == [name for name in names for _ in legs]
     assert list(poses["use"] == "verification") == [held for held in inputs.verification for _ in legs]
-    assert ((poses["low_um"] < poses["mean_um"]) & (poses["mean_um"] < poses["high_um"])).all()
+    assert ((poses["low"] < poses["mean"]) & (poses["mean"] < poses["high"])).all()
     assert list(results.table("parameters")["parameter"])[-5:] == SCALES
     fit, without = (one.summary["variants"][NAME] for one in (results, bare))
     assert "model_error" not in bare.tables
@@ -84,23 +84,23 @@ def test_every_instrument_tells_the_terms(instrument, tmp_path, search_little):
     assert gain > 10.0 if deformed else -30.0 < gain < 0.0
     assert (fit["elpd"] > without["elpd"]) == deformed
     assert 0.6 < fit["verification"]["interval_90_coverage"] <= 1.0
-    own, size = results.table("errors"), np.sqrt((poses["mean_um"] ** 2).mean())
+    own, size = results.table("errors"), np.sqrt((poses["mean"] ** 2).mean())
     assert (1e3 * own["model_error"] > 0.3 * size).all()
     # the mean of all functions is not larger than they are themselves
     used = poses[poses["use"] == "calibration"]
-    together = terms.set_index("term").loc["together"]
-    assert np.sqrt((used["mean_um"] ** 2).mean()) < together["q95_um"]
-    assert np.sqrt((1e6 * own["model_error"] ** 2).mean()) > together["q05_um"]
+    together = terms.set_index("term").loc["systematic_total"]
+    assert np.sqrt((used["mean"] ** 2).mean()) < together["q95"]
+    assert np.sqrt((1e6 * own["model_error"] ** 2).mean()) > together["q05"]
 
 
 def test_misfit_counts_functions_as_noise(silent):
     inputs = studies.load_study(silent)
-    posterior = inputs.variants[NAME].posterior().anchored()
-    y = posterior.approach()
+    posterior = inputs.variants[NAME].posterior().with_pose_guesses()
+    y = posterior.least_squares_start()
     y[posterior.n_geometry :] = [-1.0, 1.0, 1.0, 1.0, 1.0]
-    found = ReadingSubject(posterior).measure_misfit(posterior, posterior.polish(y))
-    bare = drop_model_error(inputs.variants[NAME].posterior()).anchored()
-    alone = ReadingSubject(bare).measure_misfit(bare, bare.approach())
+    found = ReadingSubject(posterior).measure_misfit(posterior, posterior.refine_geometry(y))
+    bare = drop_model_error(inputs.variants[NAME].posterior()).with_pose_guesses()
+    alone = ReadingSubject(bare).measure_misfit(bare, bare.least_squares_start())
     assert found.value / found.dof < 1.5
     assert alone.value / alone.dof > 10.0
     assert 0.0 < found.dof < alone.dof < 6 * (~inputs.verification).sum()
@@ -118,10 +118,10 @@ def test_terms_that_too_few_poses_cannot_show_are_left_out_and_said(silent):
     path.write_text(silent.read_text().replace("data/actuators.csv", "data/few.csv"))
     inputs = studies.load_study(path)
     assert errors_of(inputs).names == ("tau",)
-    said = "the model error has no terms linear, own, smooth, drift, as there are fewer than 3 rows"
+    said = "the model error has no terms linear, positioning, smooth, drift, as there are fewer than 3 rows"
     assert said in inputs.missing
     assert any(said in line for line in inputs.outlook())
     assert not studies.load_study(silent).missing
-    named = edited(path, model_error='terms = ["own"]')
-    with pytest.raises(InputError, match=r"found term 'own', but there are fewer than 3 rows, expected"):
+    named = edited(path, model_error='terms = ["positioning"]')
+    with pytest.raises(InputError, match=r"found term 'positioning', but there are fewer than 3 rows, expected"):
         studies.load_study(named)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.run import read_inputs
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.run import read_inputs
 from bayescal.inference.exploration import explore
 from bayescal.inference.sampling import sample_posterior
 
@@ -21,7 +21,7 @@ def test_the_draws_have_the_mass_of_a_mode_far_away():
     """Of 100,000 weighted draws 0.06 % are there; a single peak that is not refined leaves 0.001 %."""
     experiment, config = load(FOLDER / "study.toml")
     inputs = read_inputs(experiment, config, FOLDER)
-    posterior = inputs.variants["beam/none"].posterior().anchored()
+    posterior = inputs.variants["beam/none"].posterior().with_pose_guesses()
     with np.errstate(all="ignore"):
         found = explore(posterior, np.random.SeedSequence(1))
         sample = sample_posterior(found, np.random.SeedSequence(2), 4, 256, 20, 80)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import studies
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.experiments.simulation.compute import Twin, build_twin
 

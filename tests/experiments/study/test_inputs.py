@@ -11,9 +11,9 @@ import pytest
 import studies
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame import engine
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner import engine
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment
 from bayescal.experiments.study import compute
 
 
@@ -87,7 +87,12 @@ def test_poses_too_few_for_the_matrix(folder):
         ("study.toml", "target_noise_um = 3.0", "target_noise_um = 1e-300", "data.target_noise_um: found 1e-300"),
         ("study.toml", "actuator_noise_um = 1.0", "actuator_noise_um = 1e200", "data.actuator_noise_um: found 1e+200"),
         ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
-        ("study.toml", "factor = [1.0]", "factor = [1e-300]", "sensitivity.factor.0: found 1e-300"),
+        (
+            "study.toml",
+            "prior_width_factors = [1.0]",
+            "prior_width_factors = [1e-300]",
+            "sensitivity.prior_width_factors.0: found 1e-300",
+        ),
         ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
         ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "free: found 'l' twice, expected it once"),
         ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),

@@ -38,7 +38,7 @@ MISSED = 0.3  # of the points: some poses have fewer than three
 
 @dataclass(frozen=True)
 class Design:
-    """A machine with its tracker, its tolerances, where it is sent to, whether points are seen in place of poses."""
+    """A machine with its tracker, its tolerances, where it is sent to, whether points are seen instead of poses."""
 
     model: ReadingModel
     priors: dict[str, Prior]
@@ -91,7 +91,7 @@ class Design:
 
 
 def read_design(name: str, by_points: bool) -> Design:
-    """Return a shipped design, its instrument in place of those that it lists."""
+    """Return a shipped design, its instrument instead of those that it lists."""
     legs, plan = Legs(problems.read_machine(name)), problems.read_shipped(name)
     seen = [(0, point) for point in PROBE] if by_points else [(0, None)]
     model = place(legs.pick(np.arange(legs.n_legs)), {"": Tracker(("A",), seen)})
@@ -117,8 +117,8 @@ def simulate(name: str, by_points: bool, n: int, seed: int) -> np.ndarray:
         posterior = Posterior(
             CalibrationLikelihood(design.model, measured[0], 1.0, measured[1]), design.priors, NO_ERRORS
         )
-        posterior = posterior.anchored()
-        y = posterior.polish(posterior.approach())
+        posterior = posterior.with_pose_guesses()
+        y = posterior.refine_geometry(posterior.least_squares_start())
         gradient, hessian = posterior.gradient(y)
         covariance = np.linalg.inv(-hessian)
         assert gradient @ covariance @ gradient < 1e-3

@@ -8,8 +8,8 @@ import pytest
 import studies
 
 from bayescal.data.truth import PARAMETER_COLUMNS
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import compute_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import compute_experiment
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.simulation.compute import POSE_COORDINATES, build_twin
 from bayescal.experiments.study.readings import fit_variant
@@ -20,7 +20,7 @@ from bayescal.machines.kinematics import solve_forward_kinematics
 pytestmark = pytest.mark.runs
 
 FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
-POINTS = """measurement = "points"
+POINTS = """instrument = "points"
 points = "data/points.csv"
 probe = "probe.csv"
 stations = "stations.csv"
@@ -39,7 +39,7 @@ range_um = 5.0
 range_ppm = 0.5
 azimuth_arcsec = 1.0
 elevation_arcsec = 1.0
-missed = 0.3
+missing_fraction = 0.3
 
 [instrument.frames]
 base = [{ position_mm = [0.3, -0.2, 0.1], rotation_deg = [0.02, 0.01, -0.03] }, { position_mm = [-0.4, 0.2, 0.3] }]
@@ -100,7 +100,7 @@ def leave_positions(table):
 def compare_modes(one, other):
     """Return differences of log-evidence (Laplace) and of the modes in posterior sds, variant by variant."""
     for variant in one.config.variants:
-        first, second = (inputs.variants[variant.name].posterior().anchored() for inputs in (one, other))
+        first, second = (inputs.variants[variant.name].posterior().with_pose_guesses() for inputs in (one, other))
         a, b = find_modes(first)[0], find_modes(second)[0]
         assert first.names == second.names
         yield abs(a.log_evidence - b.log_evidence), np.abs((a.y - b.y) / np.sqrt(np.diagonal(a.covariance))).max()
@@ -119,15 +119,15 @@ def test_poses_fed_back_are_the_targets(fed):
 
 @pytest.mark.slow
 def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
-    """By sampling, as the study itself does; κ free in place of K, which targets alone tell."""
+    """By sampling, as the study itself does; κ free instead of K, which targets alone tell."""
     shutil.copytree(studies.TELESCOPE, tmp_path, dirs_exist_ok=True)
     config = tmp_path / "study.toml"
-    studies.edit(config, 'claims = "claims.py:Rr8096"\n', "")
+    studies.edit(config, 'published_claims = "claims.py:Rr8096"\n', "")
     (tmp_path / "data" / "poses.csv").write_text(studies.feed_poses(config))
     text = config.read_text().replace('matrix = "targets"', 'matrix = "unused.csv"')
-    for start in ("targets =", "reference =", "target_noise_um =", "pose_method ="):
+    for start in ("targets =", "reference =", "target_noise_um =", "pose_estimator ="):
         text = re.sub(rf"^{start}.*\n", "", text, flags=re.MULTILINE)
-    text = text.replace("[data]\n", '[data]\nmeasurement = "poses"\nposes = "data/poses.csv"\n')
+    text = text.replace("[data]\n", '[data]\ninstrument = "poses"\nposes = "data/poses.csv"\n')
     blocks = text.split("[[variants]]")
     kept = [b for b in blocks[1:] if '"matrix"' not in b and '"six_pus"' in b]
     tail = blocks[-1][blocks[-1].index("[sampler]") :]
@@ -143,7 +143,7 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
 def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
     """Every parameter within four posterior sds of the truth, a third of the points unseen."""
     inputs = studies.load_study(pointed)
-    posterior = drop_model_error(inputs.variants["six_pus/none"].posterior()).anchored()
+    posterior = drop_model_error(inputs.variants["six_pus/none"].posterior()).with_pose_guesses()
     mode = find_modes(posterior)[0]
     assert mode.converged
     truth = dict.fromkeys(posterior.names, 0.0)
@@ -263,7 +263,7 @@ FAULTS = {
         "beside targets": (
             "poses.toml",
             swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\ntargets = "data/targets.csv"'),
-            "found a table of targets beside measurement 'poses'",
+            "found a table of targets beside instrument 'poses'",
         ),
         "key of another measurement": (
             "poses.toml",
@@ -336,7 +336,7 @@ def test_shipped_example_finds_its_machine_and_frames():
     """The 54 errors in posterior sds: their mean square is one within four standard errors of independent ones."""
     inputs = studies.load_study(CAMERA / "study.toml")
     variant = inputs.variants[inputs.config.variants[0].name]
-    posterior = drop_model_error(variant.posterior()).anchored()
+    posterior = drop_model_error(variant.posterior()).with_pose_guesses()
     mode = find_modes(posterior)[0]
     truth = compute_experiment(load_experiment(CAMERA / "simulate.toml"), CAMERA).tables["truth"]
     true = truth.set_index("parameter")["true"]

@@ -15,17 +15,17 @@ import pandas as pd
 import pytest
 
 from bayescal.calibrated.functions import KnownFunctions
-from bayescal.density.calibration import frozen, likelihood, measurements
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.memory import GIB, Need
+from bayescal.density.calibration import fixed_covariance, likelihood, measurements
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.memory import GIB, MemoryEstimate
 from bayescal.experiments.shared import estimate
-from bayescal.experiments.shared.estimate import Subject, time_fit
+from bayescal.experiments.shared.estimate import PosteriorProblem, time_fit
 from bayescal.experiments.shared.function_errors import tabulate_model_error
+from bayescal.experiments.shared.posterior_files import choose_draws
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.slip_search import SlipSearch
 from bayescal.experiments.shared.slip_verdict import STATED
-from bayescal.experiments.shared.trees import choose_draws
 from bayescal.experiments.study.calibrated import tabulate_errors
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
@@ -35,7 +35,7 @@ SOME = 7
 LOADED = """
 import sys
 from pathlib import Path
-from bayescal.experiments.frame.run import check_file
+from bayescal.experiments.runner.run import check_file
 check_file(Path("study.toml"))
 print(*{NEEDLESS} & {*sys.modules})
 """
@@ -51,8 +51,8 @@ def study() -> StudyInputs:
 @pytest.fixture(scope="module")
 def drawn(study) -> tuple[Any, np.ndarray, Any]:
     """Return a posterior whose functions are of few columns, machines near its mode, and errors drawn for them."""
-    posterior = study.variants["all"].posterior().anchored()
-    y = posterior.approach() + 0.05 * np.random.default_rng(1).normal(size=(20, posterior.n_parameters))
+    posterior = study.variants["all"].posterior().with_pose_guesses()
+    y = posterior.least_squares_start() + 0.05 * np.random.default_rng(1).normal(size=(20, posterior.n_parameters))
     return posterior, y, posterior.likelihood.draw_common(*posterior.at(y), np.random.default_rng(2))
 
 
@@ -78,7 +78,7 @@ def test_densities_are_those_of_some_machines_at_a_time(drawn, monkeypatch):
     posterior, y, _ = drawn
     whole = posterior.log_density(y), posterior.pointwise(y)
     assert posterior.likelihood.frozen is not None
-    for module in (likelihood, frozen):
+    for module in (likelihood, fixed_covariance):
         monkeypatch.setattr(module, "MANY_ROWS", 3 * posterior.likelihood.data.n_poses)
     assert posterior.log_density(y) == pytest.approx(whole[0], rel=1e-10)
     assert posterior.pointwise(y) == pytest.approx(whole[1], rel=1e-8)
@@ -127,7 +127,7 @@ def test_validate_loads_nothing_that_only_runs_need(machine, instrument, tmp_pat
 
 
 @dataclass(frozen=True, eq=False)
-class Slow(Subject):
+class Slow(PosteriorProblem):
     """A posterior whose densities take as long as is said, s."""
 
     each: float
@@ -138,7 +138,7 @@ class Slow(Subject):
     def posterior(self) -> Any:
         return self
 
-    def approach(self) -> np.ndarray:
+    def least_squares_start(self) -> np.ndarray:
         return np.zeros(self.n_parameters)
 
     def log_density(self, y: np.ndarray) -> np.ndarray:
@@ -180,8 +180,8 @@ def test_what_a_run_takes_is_said_where_it_is_much(seconds, gibibytes, expected)
             assert workers == 2
             return seconds
 
-    need = Need(gibibytes * GIB - Need().sum_up(2), sizes="rows")
-    assert frame._tell_effort(frame.Admitted(Long(), None, need, [], {}, {}), 2) == expected  # type: ignore[arg-type]
+    need = MemoryEstimate(gibibytes * GIB - MemoryEstimate().sum_up(2), sizes="rows")
+    assert frame._tell_effort(frame.PreparedRun(Long(), None, need, [], {}, {}), 2) == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.runs

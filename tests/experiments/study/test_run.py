@@ -15,11 +15,11 @@ import studies
 from efforts import searching_little
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame import run as frame
-from bayescal.experiments.frame.identity import hash_identity
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.losses import list_losses
-from bayescal.experiments.frame.run import Finished, run_experiment
+from bayescal.experiments.runner import run as frame
+from bayescal.experiments.runner.identity import hash_identity
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.losses import list_losses
+from bayescal.experiments.runner.run import RunOutcome, run_experiment
 from bayescal.experiments.study import compute
 from bayescal.experiments.study.readings import fit_variant
 
@@ -32,7 +32,7 @@ NUMBERS = (
 )
 
 
-def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> Finished:
+def run(path: Path, out: Path, workers: int = 1, resume: bool = False, **changes: Any) -> RunOutcome:
     config = load_experiment(path).model_copy(update=changes)
     with searching_little():
         return run_experiment(config, path.parent, out, workers, resume)
@@ -47,7 +47,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(folder) -> Finished:
+def result(folder) -> RunOutcome:
     """Return the finished tiny study."""
     return run(folder / "study.toml", folder / "results" / "first")
 
@@ -255,7 +255,7 @@ def test_claims_are_tested_where_the_config_names_them(result, tmp_path):
     assert not (result.out / "tables" / "claims.csv").exists()
     assert "publication" not in result.summary
     path = studies.write_tiny_study(tmp_path)
-    studies.edit(path, "seed = 11", f'seed = 11\nclaims = "{studies.CLAIMS}"')
+    studies.edit(path, "seed = 11", f'seed = 11\npublished_claims = "{studies.CLAIMS}"')
     claimed = run(path, tmp_path / "out")
     assert not pd.read_csv(claimed.out / "tables" / "claims.csv").empty
     assert claimed.summary["publication"]

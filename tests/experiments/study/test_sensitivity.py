@@ -11,8 +11,7 @@ import studies
 
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import (
     WidthTask,
@@ -62,10 +61,13 @@ def test_a_factor_multiplies_the_width_of_every_prior_whatever_its_unit(tmp_path
 
 @pytest.mark.parametrize("factor", [0.5, 3.0])
 def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, factor):
-    inputs = load(tmp_path / "own", ("factor = [1.0]", f"factor = [1.0, {factor}]"), EFFORT)
+    inputs = load(tmp_path / "own", ("prior_width_factors = [1.0]", f"prior_width_factors = [1.0, {factor}]"), EFFORT)
     scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
     other = load(tmp_path / "other", *scaled, EFFORT)
-    free, factors = {name: fit_variant(inputs, name) for name in inputs.variants}, inputs.config.sensitivity.factor
+    free, factors = (
+        {name: fit_variant(inputs, name) for name in inputs.variants},
+        inputs.config.sensitivity.prior_width_factors,
+    )
     widths = begin_widths(inputs, free, Run())()
     table = tabulate_widths(free, widths, factors).set_index(["factor", "variant"])
     for name in other.variants:
@@ -79,29 +81,44 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
 
 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
-    inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5, 1.0000001]"))
+    inputs = load(tmp_path, ("prior_width_factors = [1.0]", "prior_width_factors = [1.0, 0.5, 1.0000001]"))
     fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
-    widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), inputs.config.sensitivity.factor)
+    widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), inputs.config.sensitivity.prior_width_factors)
     assert len(inputs.variants) == 2
     assert len(widths) == len({task.key for task in widths}) == 4
     assert {task.factor for task in widths} == {0.5, 1.0000001}
+    assert not any(task.is_hard for task in widths)
 
 
-@pytest.mark.parametrize(("behind", "explored"), [(0.0, ["near", "near", "anew"]), (60.0, ["near"])])
-def test_a_doubtful_evidence_is_mended_where_the_variant_is_in_question(tmp_path, monkeypatch, behind, explored):
-    inputs = load(tmp_path, ("factor = [1.0]", "factor = [1.0, 0.5]"))
+@pytest.mark.parametrize(("efficiency", "pareto_k", "is_hard"), [(0.3, 0.6, False), (0.1, 0.6, True), (0.6, 0.8, True)])
+def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency, pareto_k, is_hard):
+    inputs = load(tmp_path)
+    importance = ImportanceEvidence(7.0, 0.1, efficiency, pareto_k, 1000)
+    fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=importance)
+    widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), [0.5])
+    assert [task.is_hard for task in widths] == [is_hard] * 2
+
+
+@pytest.mark.parametrize(
+    ("behind", "is_hard", "explored"),
+    [(0.0, False, ["near", "near", "again"]), (60.0, False, ["near"]), (0.0, True, ["near"])],
+)
+def test_a_doubtful_evidence_is_mended_where_that_may_help_a_variant_in_question(
+    tmp_path, monkeypatch, behind, is_hard, explored
+):
+    inputs = load(tmp_path, ("prior_width_factors = [1.0]", "prior_width_factors = [1.0, 0.5]"))
     variant = inputs.config.variants[0].name
-    found = explore(inputs.variants[variant].posterior(factor=0.5).anchored(), np.random.SeedSequence(1), 64)
+    found = explore(inputs.variants[variant].posterior(factor=0.5).with_pose_guesses(), np.random.SeedSequence(1), 64)
     said: list[str] = []
 
     def note(word):
         return lambda *_, **__: said.append(word) or found
 
     monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore_near", note("near"))
-    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore", note("anew"))
-    doubtful = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
-    monkeypatch.setattr("bayescal.experiments.study.prior_widths.weigh_proposal", lambda *_: doubtful)
-    weighed = weigh_widths(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind))
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.explore", note("again"))
+    unreliable = ImportanceEvidence(1.0, 0.1, 0.01, 0.9, 100)
+    monkeypatch.setattr("bayescal.experiments.study.prior_widths.weigh_proposal", lambda *_: unreliable)
+    weighed = weigh_widths(inputs, WidthTask(variant, 0.5, np.stack([mode.y for mode in found.modes]), behind, is_hard))
     assert said == explored
     assert weighed.pareto_k == 0.9  # on the page it is marked
 
@@ -115,14 +132,7 @@ def test_a_uniform_prior_made_too_wide_is_refused(tmp_path):
         (NORMAL, f'{NORMAL}\nbeta = {{ prior = "uniform", half_width = 0.2 }}'),
     )
     load(tmp_path / "fine", *changes)
-    with pytest.raises(InputError, match=r"^variant 'beam/none': sensitivity\.factor 5: parameter beta\[1\]: found a "):
-        load(tmp_path / "wide", *changes, ("factor = [1.0]", "factor = [1.0, 5.0]"))
-
-
-def test_absolute_tolerances_are_refused_with_what_replaces_them(tmp_path):
-    path = studies.write_tiny_study(tmp_path)
-    studies.edit(path, "factor = [1.0]", "tolerance_mm = [0.5, 1.0]")
-    line = studies.find_line(path, "[sensitivity]")
-    expected = rf"line {line}: sensitivity: tolerance_mm: replaced by factor, which .*, expected .* factor = \[0\.5, "
-    with pytest.raises(InputError, match=expected):
-        load_experiment(path)
+    with pytest.raises(
+        InputError, match=r"^variant 'beam/none': sensitivity\.prior_width_factors 5: parameter beta\[1\]: found a "
+    ):
+        load(tmp_path / "wide", *changes, ("prior_width_factors = [1.0]", "prior_width_factors = [1.0, 5.0]"))

@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 
 from bayescal.experiments.study.tables import compare_variants, tabulate_comparison
-from bayescal.inference.leave_one_out import LeftOut
+from bayescal.inference.leave_one_out import LeaveOneOut
 
 N_POSES = 40
 
 
 def leave_out(elpd):
     """Return what leaving each pose out tells."""
-    return LeftOut(elpd, np.full(N_POSES, 0.3), np.ones(N_POSES), np.full(N_POSES, np.nan))
+    return LeaveOneOut(elpd, np.full(N_POSES, 0.3), np.ones(N_POSES), np.full(N_POSES, np.nan))
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_a_pose_that_was_refitted_counts_by_its_run(fits):
 
 
 def test_a_table_says_how_each_predicts_beside_the_best(fits):
-    variants = pd.DataFrame({"variant": [*fits, "alone"], "data": [*["same"] * 3, "other"], "n": range(4)})
+    variants = pd.DataFrame({"variant": [*fits, "alone"], "data_set": [*["same"] * 3, "other"], "n": range(4)})
     left_out = fits | {"alone": fits["left"]}
     table = tabulate_comparison(variants, left_out).set_index("variant")
     assert list(table.index) == [*fits, "alone"]

@@ -8,9 +8,9 @@ import pytest
 import studies
 from saved_trees import check_tree, scale_power
 
-from bayescal.experiments.frame.load import load_experiment
+from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.estimate import TREE
-from bayescal.experiments.shared.trees import choose_draws, write_packed
+from bayescal.experiments.shared.posterior_files import choose_draws, write_packed
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import fit_variant
 from bayescal.numerics.geometry import matrix_from_rotation_vector

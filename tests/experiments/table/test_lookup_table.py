@@ -12,8 +12,8 @@ import studies
 from calibrations import change
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.load import load
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.table.compute import find_table, summarise, tabulate
 from bayescal.experiments.table.inputs import differentiate_correction, plan_measurements, respond
 from bayescal.experiments.table.page import build_page
@@ -45,8 +45,8 @@ def inputs(folder):
 @pytest.fixture(scope="module")
 def gaussian(inputs):
     """Return the posterior, its mode and draws of the Gaussian there."""
-    posterior = inputs.variant.posterior().anchored()
-    mode = posterior.approach()
+    posterior = inputs.variant.posterior().with_pose_guesses()
+    mode = posterior.least_squares_start()
     covariance = np.linalg.inv(-posterior.gradient(mode)[1])
     white = np.random.default_rng(1).standard_normal((DRAWS, len(mode)))
     return posterior, mode, covariance, mode + white @ np.linalg.cholesky(covariance).T
@@ -150,11 +150,7 @@ def test_tables_and_page_say_what_was_found(inputs, found):
     expected = [np.cov(drawn[:, g, 1], drawn[:, g, 4])[0, 1] for g in range(len(inputs.cells))]
     np.testing.assert_allclose(first, expected, rtol=1e-9)
     page = build_page(Results(summary, tables))
-    assert page.headline.startswith(
-        "Do not correct by the table yet: from 0 to 90° of elevation and 0 to 20 °C of temperature it"
-    )
-    assert page.verdict[0].level == "bad"
-    assert "too few draws" in page.verdict[0].text
+    assert (page.verdict[0].lead, page.verdict[0].level, page.verdict[0].value) == ("Convergence", "bad", 1)
     assert json.dumps(summary, allow_nan=False)
 
 
@@ -180,11 +176,11 @@ def rail(tmp_path_factory):
     ("old", "new", "words"),
     [
         ('study = "study.toml"', 'study = "table.toml"', "expected 'study'"),
-        ("force = true", 'variant = "al"', "found 'al', expected one of all"),
+        ("allow_unconverged = true", 'variant = "al"', "found 'al', expected one of all"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),
         (", temperature_c = 10.0 }", " }", "reference: found no temperature_c"),
-        ("force = true", "pose = { w = 3.0 }", "pose: found 'w', expected some of x"),
+        ("allow_unconverged = true", "pose = { w = 3.0 }", "pose: found 'w', expected some of x"),
         (
             "temperature_c = 10.0 }",
             "temperature_c = 10.0, wind = 3.0 }",
@@ -258,17 +254,17 @@ def test_rows_without_elevation_are_refused(folder):
         change(folder / "study.toml", 'ignore = ["elevation"]\n', "")
 
 
-def test_a_posterior_that_did_not_converge_makes_a_table_by_force_alone(tmp_path, call, no_pictures):
-    path = change(lookup_tables.write_rail(tmp_path), "force = true\n", "")
+def test_a_posterior_that_did_not_converge_makes_a_table_where_that_is_allowed(tmp_path, call, no_pictures):
+    path = change(lookup_tables.write_rail(tmp_path), "allow_unconverged = true\n", "")
     change(tmp_path / "study.toml", "burn_in = 10, steps = 20", "burn_in = 0, steps = 4")
     arguments = ["table", path, "--out", tmp_path / "out", "--workers", 1, "--quiet"]
     code, _, err = call(*arguments)
     assert code == 3
     (line,) = studies.list_errors(err)
     assert "did not converge" in line
-    assert line.endswith("expected one that did; --force takes it all the same")
+    assert line.endswith("expected one that did, or --allow-unconverged")
     assert not (tmp_path / "out").exists()
-    assert call(*arguments, "--force")[0] == 0
+    assert call(*arguments, "--allow-unconverged")[0] == 0
     lookup = pd.read_csv(tmp_path / "out" / "lookup.csv")
     assert list(lookup.columns) == ["elevation_deg", "temperature_c", "q_mm"]
     # at the horizon and 20 °C less the zenith and 10 °C: the sag and ten times the growth

@@ -31,7 +31,7 @@ from rr8096.least_squares import LeastSquaresFit, identify
 
 judge_claims, tabulate_claims = claims.judge_claims, claims.tabulate_claims
 TWIN = "Reconstructed: simulated for the tests, never measured"
-COLUMNS = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"]
+COLUMNS = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "reason"]
 
 
 def build_subject(
@@ -86,7 +86,7 @@ def with_offsets(evidence: ClaimEvidence, offsets: dict[str, dict[str, object]])
     return replace(evidence, fits=fits, free=free)
 
 
-def run(function, evidence: ClaimEvidence) -> dict[str, claims.Claim]:
+def run(function, evidence: ClaimEvidence) -> dict[str, claims.ClaimRow]:
     return {claim.claim: claim for claim in function(evidence)}
 
 
@@ -481,7 +481,7 @@ def test_claims_on_posteriors_need_their_variants(telescope):
 def test_hardware_is_not_testable_on_a_twin(telescope):
     twin = run(accuracy.hardware, telescope)
     assert {c.verdict for c in twin.values()} == {UNTESTABLE}
-    assert TWIN in twin["desired_accuracy"].why
+    assert TWIN in twin["desired_accuracy"].reason
     measured = run(accuracy.hardware, replace(telescope, origin="measured in a clean room"))
     assert set(twin) - set(measured) == {"desired_accuracy", "accuracy_of_the_telescope"}
 
@@ -496,7 +496,7 @@ def test_every_claim_has_its_columns_and_order(telescope):
     assert list(table.columns) == COLUMNS
     assert table["claim"].is_unique
     assert set(table["verdict"]) == {HOLDS, FAILS, UNTESTABLE}
-    texts = table[["claim", "section", "statement", "expected", "verdict", "why"]]
+    texts = table[["claim", "section", "statement", "expected", "verdict", "reason"]]
     assert (texts.map(len) > 0).all().all()
     tested = table[table["verdict"] != UNTESTABLE]
     assert (tested["found"].map(len) > 0).all()
@@ -519,7 +519,7 @@ def test_failed_computation_costs_its_claim_alone(telescope, monkeypatch):
     first, second = sorted(judge_claims(telescope), key=lambda c: c.verdict)
     assert (first.claim, first.verdict) == ("circle", HOLDS)
     assert (second.claim, second.verdict) == ("fail", UNTESTABLE)
-    assert "no pose" in second.why
+    assert "no pose" in second.reason
 
 
 def test_machine_without_flexures_leaves_claims_out(telescope):
@@ -535,7 +535,7 @@ def test_machine_of_eight_legs(monkeypatch):
     theta = machines.build_machine("matrix", mechanism).layout.nominal
     found = {c.claim: c for c in judge_claims(build_subject(mechanism=mechanism, theta=theta))}
     assert not set(found) & {"fixed_directions", "stiffness_parameters", "least_configurations"}
-    assert not [c.why for c in found.values() if "failed" in c.why]
+    assert not [c.reason for c in found.values() if "failed" in c.reason]
     assert {"beam_parameters", "leg_tilt"} <= set(found)
     assert found["initial_positions_free"].value == 8
 
@@ -572,7 +572,7 @@ def test_study_gives_its_evidence(inputs):
 
 def test_evidence_without_model_error_is_that_of_draws(inputs):
     """By importance sampling about the mode, where few parameters leave the density nearly normal."""
-    posterior = drop_model_error(inputs.variants["six_pus/matrix"].posterior()).anchored()
+    posterior = drop_model_error(inputs.variants["six_pus/matrix"].posterior()).with_pose_guesses()
     assert posterior.n_parameters == 12
     mode = find_modes(posterior)[0]
     about = stats.multivariate_normal(mode.y, 1.2 * mode.covariance)

@@ -9,8 +9,8 @@ import studies
 from papers import pose_methods
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment
 
 compare_pose_methods, summarise_comparison = pose_methods.compare_pose_methods, pose_methods.summarise_comparison
 ERRORS = ["position_error_mm", "orientation_error_deg", "axis_error_deg", "whitened_squared_error"]

@@ -133,7 +133,7 @@ def test_too_few_poses_have_no_solution_without_priors():
 
 
 def test_readings_at_the_calibrated_machine_are_those_of_some_pose():
-    """The poses that were eliminated are still there: located anew, they leave the same sum of squares."""
+    """The poses that were eliminated are still there: located again, they leave the same sum of squares."""
     sensors, free, pose = make_problem(8, 25)
     _, measured = measure(sensors, free, pose, 4)
     found = calibrate(sensors, free, measured, pose, True)

@@ -15,8 +15,8 @@ from rich.console import Console
 from sliding_platforms import make_content
 from tiny_experiments import copy_tiny
 
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import LATE, run_experiment
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import FOUND_LATE, run_experiment
 from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from sika2008.documented import QUANTILE, cover, list_calibrabilities, list_steps, name_parts, ratio_of, rms_of
@@ -87,7 +87,7 @@ def plain_text(page):
 def test_shipped_experiment_runs_tiny(path, no_pictures):
     out, text = run(path)
     assert "report.html" in text
-    assert {p.stem for p in out.glob("*.csv")} == TABLES
+    assert {p.stem for p in out.glob("*.csv")} == TABLES | {"findings"}
     assert {p.stem for p in (out / "figures").iterdir()} == FIGURES
     summary = json.loads((out / "summary.json").read_text())
     assert summary["headline"] in text
@@ -330,7 +330,7 @@ def test_faults_are_one_line_and_nothing_is_written(call, path, fault, match):
     edit(path.parent / fault[0], *fault[1:])
     out = path.parents[1] / "out"
     code, printed, error = call("run", path, "--out", out, "--workers", 1, "--quiet")
-    assert (code, printed) == (3 if LATE in error else 2, "")
+    assert (code, printed) == (3 if FOUND_LATE in error else 2, "")
     assert error.count("\n") == 1
     assert re.search(match, error), error
     assert not list(path.parents[1].glob("out*"))

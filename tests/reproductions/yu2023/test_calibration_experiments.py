@@ -8,13 +8,13 @@ import re
 
 import pandas as pd
 import pytest
-from experiments.frame.test_kind_contract import leave_out_pictures, read_all
+from experiments.runner.test_kind_contract import leave_out_pictures, read_all
 from hexapod_settings import SHIPPED, copy_tiny
 from rich.console import Console
 
 from bayescal.errors import BayescalError
-from bayescal.experiments.frame.load import load_experiment
-from bayescal.experiments.frame.run import run_experiment, write_report
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment, write_report
 from bayescal.report.pictures import Picture
 
 pytestmark = pytest.mark.runs
@@ -38,7 +38,7 @@ def tiny(request, tmp_path_factory):
     path, out = copy_tiny(request.param, folder), folder / "out"
     console = Console(file=io.StringIO(), width=120)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bayescal.report.page.render_picture", lambda draw, stacked=True: Picture(b"not drawn"))
+        patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
         run_experiment(load_experiment(path), path.parent, out, workers=1).show(console)
     return request.param, path, out, console.file.getvalue()
 
@@ -122,5 +122,5 @@ def test_faults_are_one_line(old, new, match, tmp_path):
 def test_driven_base_joints_are_refused(tmp_path):
     path = copy_tiny("table8", tmp_path)
     mechanism = path.parent / "small_mechanism.toml"
-    mechanism.write_text(mechanism.read_text().replace('drive = "strut"', 'drive = "base"'))
+    mechanism.write_text(mechanism.read_text().replace('actuated_joint = "strut"', 'actuated_joint = "base"'))
     refuse(path, "../audit/yu2023_mechanism.toml", "small_mechanism.toml", "six_ups")

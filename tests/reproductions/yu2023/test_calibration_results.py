@@ -10,7 +10,7 @@ import pytest
 import studies
 from hexapod_settings import load_setting
 
-from bayescal.experiments.frame.parallel import Run
+from bayescal.experiments.runner.parallel import Run
 from yu2023 import repeats
 from yu2023.setup import CommandedPoses
 

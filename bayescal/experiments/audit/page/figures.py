@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from bayescal.experiments.audit.page.results import KNOWN_LIMITS, AuditResults, Requirement, Ridge
+from bayescal.experiments.audit.page.results import KNOWN_LIMITS, AuditResults
 from bayescal.experiments.audit.page.verdict import is_met
 from bayescal.experiments.audit.page.wording import (
     format_contraction,
@@ -24,18 +24,20 @@ from bayescal.experiments.audit.page.wording import (
     name_requirement,
     name_unit,
 )
+from bayescal.experiments.audit.rows import PARAMETER_ERROR, RANDOM_ERROR, AuditCombinationRow, AuditRequirementRow
 from bayescal.experiments.shared.headline import LIKELY
 from bayescal.experiments.shared.machine_scene import build_scene, read_joint_columns
-from bayescal.limits import DEAD, INFORMED
+from bayescal.limits import IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Figure
 from bayescal.report.numbers import format_percent, format_plain, join_words
 from bayescal.report.scene import Scene
 from bayescal.report.style import GREY, INK, LEG_COLOURS, MARKERS, PALE, RED
-from bayescal.report.symbols import Asked, quote, set_mathematics, set_parameter, shown_in, split_name
+from bayescal.report.symbols import ChosenUnits, quote, set_mathematics, set_parameter, shown_in, split_name
 
 BLUE, ORANGE, YELLOW = "#0072B2", "#D55E00", "#E69F00"
 WIDTH = 9.4  # inches
+MILLIMETRES = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 
 
 def _grid(height: float, rows: int = 1, columns: int = 1, width: float = WIDTH) -> tuple[Drawing, list[Axes]]:
@@ -55,9 +57,14 @@ def show_machine(audit: AuditResults) -> list[Scene]:
     """Return the machine in space at its planned poses, with what remains unknown of its joints."""
     if "joints" not in audit.tables:
         return []
-    frame = audit.parameters
-    frame = frame.assign(sd=frame["posterior_sd"] * frame["unit"].map({"um": 1e-3, "mm": 1.0, "m": 1e3}))
-    scene = build_scene(audit.tables["joints"], spreads=read_joint_columns(frame.dropna(subset="sd"), "sd"))
+    frame = pd.DataFrame(
+        [
+            {"symbol": row.symbol, "leg": row.leg, "sd": row.posterior_sd * MILLIMETRES[row.unit]}
+            for row in audit.parameters
+            if row.unit in MILLIMETRES
+        ]
+    )
+    scene = build_scene(audit.tables["joints"], spreads=read_joint_columns(frame, "sd"))
     return [] if scene is None else [scene]
 
 
@@ -65,7 +72,14 @@ def show_machine(audit: AuditResults) -> list[Scene]:
 
 # orange where nothing is learnt, pale about what is learnt in part, blue where the tolerance is at least halved
 COLOURS = LinearSegmentedColormap.from_list(
-    "contraction", [(0.0, "#e08344"), (DEAD, "#f3c39d"), (0.5, "#f5f1ea"), (INFORMED, "#b9d6ea"), (1.0, "#3f86bd")]
+    "contraction",
+    [
+        (0.0, "#e08344"),
+        (UNIDENTIFIABLE_CONTRACTION, "#f3c39d"),
+        (0.5, "#f5f1ea"),
+        (IDENTIFIABLE_CONTRACTION, "#b9d6ea"),
+        (1.0, "#3f86bd"),
+    ],
 )
 CELL = 0.24  # inches, height of a row
 NUMBERED = 26  # columns with legible numbers
@@ -73,12 +87,12 @@ NUMBERED = 26  # columns with legible numbers
 
 def show_contraction(results: AuditResults) -> Figure:
     """Return the contraction of every parameter: a row per symbol, a column per leg; the reduced set outlined."""
-    frame = results.parameters
-    legs = sorted(set(frame["leg"]) - {0}) + ([0] if (frame["leg"] == 0).any() else [])
-    values, free = (
-        frame.pivot(index="symbol", columns="leg", values=what).loc[results.symbols, legs]
-        for what in ("contraction", "in_reduced_set")
-    )
+    symbols, rows = results.symbols, results.parameters
+    legs = sorted({row.leg for row in rows}, key=lambda leg: (leg == 0, leg))  # parameters of the machine last
+    values, free = np.full((len(symbols), len(legs)), np.nan), np.zeros((len(symbols), len(legs)), dtype=bool)
+    for one in rows:
+        place = symbols.index(one.symbol), legs.index(one.leg)
+        values[place], free[place] = one.contraction, one.reduced_set
     caption = (
         "Contraction of every parameter with all others unknown: the share of its tolerance's variance that the "
         "measurements remove, 0 where nothing is learnt. From 0.75 on the tolerance is at least halved (blue). "
@@ -88,9 +102,9 @@ def show_contraction(results: AuditResults) -> Figure:
     def draw() -> Drawing:
         width = min(WIDTH, 1.6 + 0.75 * len(legs))
         figure, (axes,) = _grid(0.75 + CELL * len(values), width=width)
-        _draw_heat(axes, values.to_numpy(dtype=float), [set_mathematics(symbol) for symbol in results.symbols])
+        _draw_heat(axes, values, [set_mathematics(symbol) for symbol in symbols])
         axes.set_xticks(range(len(legs)), [f"{results.member} {leg}" if leg else "machine" for leg in legs])
-        for row, column in np.argwhere(free.eq(True).to_numpy(dtype=bool)):
+        for row, column in np.argwhere(free):
             place = (float(column) - 0.46, float(row) - 0.42)
             axes.add_patch(Rectangle(place, 0.92, 0.84, fill=False, edgecolor=INK, linewidth=1.1))
         return figure
@@ -172,9 +186,9 @@ def show_spectrum(results: AuditResults) -> Figure:
 
 def _draw_spectrum(spectrum: pd.DataFrame) -> Drawing:
     figure, (left, right) = _grid(3.3, columns=2)
-    counts, number = spectrum["counts"].to_numpy(dtype=bool), spectrum["number"].to_numpy()
+    counts, number = spectrum["is_in_rank"].to_numpy(dtype=bool), spectrum["number"].to_numpy()
     values, planned = (spectrum[key].to_numpy(dtype=float) for key in ("wide_workspace", "planned"))
-    rounding, rank, (low, high) = float(spectrum["rounding"].iloc[0]), int(counts.sum()), KNOWN_LIMITS
+    rounding, rank, (low, high) = float(spectrum["noise_floor"].iloc[0]), int(counts.sum()), KNOWN_LIMITS
 
     def draw_groups(axes: Axes, shown: Array, groups: Sequence[tuple[np.ndarray, str, str, str]]) -> None:
         for chosen, colour, marker, label in groups:
@@ -183,7 +197,7 @@ def _draw_spectrum(spectrum: pd.DataFrame) -> Drawing:
 
     shown = np.maximum(values, FLOOR * rounding if rounding > 0.0 else np.finfo(float).tiny)
     draw_groups(left, shown, ((counts, BLUE, "o", "seen"), (~counts, RED, "s", "never seen")))
-    left.axhline(rounding, color=GREY, linestyle="--", linewidth=1.0, label="rounding")
+    left.axhline(rounding, color=GREY, linestyle="--", linewidth=1.0, label="noise floor")
     if 0 < rank < len(counts):
         left.axvline(rank + 0.5, color=INK, linewidth=0.6, linestyle=":")
     left.set_ylabel("Singular value per tolerance")
@@ -194,7 +208,7 @@ def _draw_spectrum(spectrum: pd.DataFrame) -> Drawing:
         (planned < low, RED, "s", "hardly or never"),
     )
     draw_groups(right, np.maximum(planned, FLOOR * low), groups)
-    for value, contraction in ((high, INFORMED), (low, DEAD)):
+    for value, contraction in ((high, IDENTIFIABLE_CONTRACTION), (low, UNIDENTIFIABLE_CONTRACTION)):
         right.axhline(value, color=GREY, linestyle="--", linewidth=1.0)
         right.text(1, value * 1.12, f"contraction {format_plain(contraction)}", fontsize=8, color="#555555")
     right.set_ylabel("Tolerance / what the noise leaves")
@@ -215,7 +229,7 @@ def show_requirements(results: AuditResults) -> Figure:
     """Return the predicted errors against their limits."""
     caption = (
         "Largest standard deviation of the predicted pose anywhere in the workspace, in per cent of each requirement's "
-        "limit, logarithmic. The tick is the part of the geometry; the rest up to the dot are actuators and model "
+        "limit, logarithmic. The tick is the part of the parameters; the rest up to the dot are actuators and model "
         f"error. Blue: met with a probability of {format_percent(LIKELY)} or more, as in the table; red: not reliably."
     )
     if not results.requirements:
@@ -224,17 +238,17 @@ def show_requirements(results: AuditResults) -> Figure:
     return Figure("requirements", caption, partial(_draw_requirements, results.requirements, kept))
 
 
-def _draw_requirements(requirements: Sequence[Requirement], kept: np.ndarray) -> Drawing:
+def _draw_requirements(requirements: Sequence[AuditRequirementRow], kept: np.ndarray) -> Drawing:
     figure, (axes,) = _grid(1.0 + 0.42 * len(requirements))
     rows = np.arange(len(requirements))
     before, after, geometry = (
         100.0 * np.array([getattr(r, key) / r.limit for r in requirements])
-        for key in ("prior_sd", "predicted_sd", "geometry_sd")
+        for key in ("prior_sd", "predicted_sd", "parameter_sd")
     )
     axes.hlines(rows, np.minimum(after, before), np.maximum(after, before), color=PALE, linewidth=5.0, zorder=1)
     shape: dict[str, Any] = {"linestyle": "none", "markersize": 6.5}
     axes.plot(before, rows, marker="o", markerfacecolor="white", color=GREY, label="before the calibration", **shape)
-    axes.plot(geometry, rows, marker="|", color=INK, label="after it, from the geometry alone", **shape)
+    axes.plot(geometry, rows, marker="|", color=INK, label="after it, by parameters alone", **shape)
     for colour, label, chosen in ((BLUE, "after it, met", kept), (RED, "after it, not reliably met", ~kept)):
         if chosen.any():
             axes.plot(after[chosen], rows[chosen], marker="o", color=colour, label=label, **shape)
@@ -249,7 +263,7 @@ def _draw_requirements(requirements: Sequence[Requirement], kept: np.ndarray) ->
     axes.axvline(100.0, color=INK, linewidth=1.2, label="the limit")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{format_plain(value, separator=',')} %"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_yticks(rows, [quote(name_requirement(r.name)) for r in requirements])
+    axes.set_yticks(rows, [quote(name_requirement(r.requirement)) for r in requirements])
     axes.set_ylim(len(requirements) - 0.5, -0.6)
     axes.set_xlabel("Predicted standard deviation in per cent of the limit")
     axes.grid(axis="x")
@@ -316,13 +330,13 @@ def _style_line(k: int) -> dict[str, Any]:
 def _draw_left(axes: Axes, rows: pd.DataFrame) -> None:
     for k, (symbol, one) in enumerate(rows.groupby("symbol", sort=False)):
         line, style = one.sort_values("value"), _style_line(k)
-        left = 100.0 * np.sqrt(np.maximum(1.0 - line["contraction_least"].to_numpy(dtype=float), 1e-16))
+        left = 100.0 * np.sqrt(np.maximum(1.0 - line["contraction_min"].to_numpy(dtype=float), 1e-16))
         axes.plot(line["value"], left, linewidth=1.2, label=set_mathematics(str(symbol)), **style)
-        beyond = line["beyond_actuator_range"].to_numpy(dtype=bool)
+        beyond = line["is_beyond_range"].to_numpy(dtype=bool)
         for chosen, face in ((beyond, "white"), (~beyond, style["color"])):
             x, y = line["value"].to_numpy()[chosen], left[chosen]
             axes.plot(x, y, linestyle="none", marker="o", markersize=3.2, color=style["color"], markerfacecolor=face)
-    for contraction in (INFORMED, DEAD):
+    for contraction in (IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION):
         axes.axhline(100.0 * np.sqrt(1.0 - contraction), color=RED, linewidth=0.8, linestyle="--")
     _scale_log(axes, " %", 9)
 
@@ -458,11 +472,11 @@ def show_ridges(results: AuditResults) -> list[Figure]:
     empty = pd.DataFrame(columns=["direction", "source", "x", "y"])
     draws, curves = (results.tables.get(name, empty) for name in ("ridge_draws", "ridge_curves"))
     there, sources = {*draws["direction"], *curves["direction"]}, {*draws["source"], *curves["source"]}
-    plotted = [ridge for ridge in results.ridges if ridge.plot and ridge.number in there]
+    plotted = [ridge for ridge in results.ridges if ridge.plot_x and ridge.number in there]
     leading = [next((ridge for ridge in group if ridge in plotted), None) for group in results.groups]
     first = [ridge for ridge in leading if ridge is not None][:PANELS]
     others = [ridge for ridge in plotted if ridge not in first]
-    left_out = results.summary.get("posterior_left_out")
+    left_out = results.summary.get("no_posterior_reason")
     shown = join_words([words for source, (_, words, _) in SOURCES.items() if source in sources])
     caption = (
         f"Ridges, two parameters each that the measurements do not distinguish: {shown}. Each draw is shown without "
@@ -483,7 +497,7 @@ def show_ridges(results: AuditResults) -> list[Figure]:
     return found
 
 
-def _draw_ridges(ridges: Sequence[Ridge], draws: pd.DataFrame, curves: pd.DataFrame) -> Drawing:
+def _draw_ridges(ridges: Sequence[AuditCombinationRow], draws: pd.DataFrame, curves: pd.DataFrame) -> Drawing:
     """Return a panel per ridge; of draws that there are also without their moves along the other ridges, these."""
     figure, panels = _make_panels(len(ridges), 2.35)
     for axes, ridge in zip(panels, ridges, strict=True):
@@ -501,8 +515,8 @@ def _draw_ridges(ridges: Sequence[Ridge], draws: pd.DataFrame, curves: pd.DataFr
                 axes.plot(line["x"], line["y"], **SOURCES[source][2])
         if len(cloud):
             axes.set(xlim=limits[0], ylim=limits[1])
-        axes.set_xlabel(_label(set_parameter(ridge.plot["x"]), ridge.plot["x_unit"]))
-        axes.set_ylabel(_label(set_parameter(ridge.plot["y"]), ridge.plot["y_unit"]))
+        axes.set_xlabel(_label(set_parameter(ridge.plot_x), ridge.plot_x_unit))
+        axes.set_ylabel(_label(set_parameter(ridge.plot_y), ridge.plot_y_unit))
         axes.locator_params(nbins=4)
         axes.grid()
     there = {*draws["source"], *curves["source"]}
@@ -522,12 +536,12 @@ SHOWN = 1e3  # times the best error, above which sets are left out of the pictur
 
 
 def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: str) -> Drawing:
-    """Return the error of every set of sensors against their number or price, the best of each joined."""
+    """Return the error of every set of sensors against their number or cost, the best of each joined."""
     figure, (axes,) = _grid(4.0, width=8.4)
     good = sets[(sets["goal"] < SHOWN * best["goal"].min()) & ~sets["sensors"].isin(best["sensors"])]
     by_number = against == "number"
     column, shift = (
-        ("n_sensors", 0.3 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)) if by_number else ("price", 0.0)
+        ("n_sensors", 0.3 * (((0.618034 * np.arange(len(good))) % 1.0) - 0.5)) if by_number else ("cost", 0.0)
     )
     axes.plot(good[column] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
     axes.plot(best[column], best["goal"], "-o", color=BEST, markersize=5.0, label=f"best of each {against}")
@@ -535,13 +549,13 @@ def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: s
         axes.axhline(1.0, color=RED, linewidth=0.9, label="standard deviation equal to the limit")
     _finish_log(axes, by_number)
     axes.set_ylabel("Largest sd as a share of its limit" if required else "Error, lengths together")
-    axes.set_xlabel("Number of sensors" if by_number else "Price")
+    axes.set_xlabel("Number of sensors" if by_number else "Cost")
     return figure
 
 
-def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Drawing:
+def draw_counts(counts: pd.DataFrame, enough: int, asked: ChosenUnits) -> Drawing:
     """Return the error of each coordinate against the number of poses, chosen and at random."""
-    names = [str(name).removeprefix("after_") for name in counts.columns if str(name).startswith("after_")]
+    names = [str(one).removeprefix(PARAMETER_ERROR) for one in counts.columns if str(one).startswith(PARAMETER_ERROR)]
     units = list(dict.fromkeys(name.rpartition("_")[2] for name in names))
     figure, panels = _grid(3.8, columns=len(units), width=8.4)
     number = counts["n_poses"]
@@ -550,8 +564,10 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: Asked) -> Drawing:
         for k, name in enumerate(one for one in names if one.rpartition("_")[2] == unit):
             colour, marker = LEG_COLOURS[(k + 4) % 6], MARKERS[k % len(MARKERS)]
             label = quote(name.rpartition("_")[0])
-            axes.plot(number, factor * counts[f"after_{name}"], "-", marker=marker, color=colour, label=label)
-            axes.plot(number, factor * counts[f"random_{name}"], ":", color=colour)
+            axes.plot(
+                number, factor * counts[f"{PARAMETER_ERROR}{name}"], "-", marker=marker, color=colour, label=label
+            )
+            axes.plot(number, factor * counts[f"{RANDOM_ERROR}{name}"], ":", color=colour)
         axes.plot([], [], ":", color=GREY, label="at random")
         if flat := enough < number.max():
             axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")

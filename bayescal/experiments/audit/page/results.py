@@ -5,15 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.frame.results import Results
-from bayescal.limits import DEAD, INFORMED
+from bayescal.experiments.audit.rows import (
+    PREDICTED_SD,
+    ROWS,
+    AlternativeRow,
+    AuditCombinationRow,
+    AuditParameterRow,
+    AuditRequirementRow,
+    AuditScenarioRow,
+    AuditVariantRow,
+    FreeingStepRow,
+)
+from bayescal.experiments.runner.results import Results
+from bayescal.experiments.shared.rows import ToolUncertaintyRow
+from bayescal.files.rows import TableRow, check_tables
+from bayescal.limits import IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
 from bayescal.report.symbols import split_name
 
-KNOWN_LIMITS = (math.sqrt(DEAD / (1.0 - DEAD)), math.sqrt(INFORMED / (1.0 - INFORMED)))
+KNOWN_LIMITS = (
+    math.sqrt(UNIDENTIFIABLE_CONTRACTION / (1.0 - UNIDENTIFIABLE_CONTRACTION)),
+    math.sqrt(IDENTIFIABLE_CONTRACTION / (1.0 - IDENTIFIABLE_CONTRACTION)),
+)
 """Tolerance over what the noise alone would leave of a combination: below, hardly anything is learnt; above, enough."""
 SIMULATED = {
     "simulated_calibrations": "everything free within its tolerance",
@@ -23,47 +40,13 @@ SIMULATED = {
 
 
 @dataclass(frozen=True)
-class Ridge:
-    """A direction that the measurements determine not at all or too little."""
-
-    number: int  # among the audit's directions, from 1
-    kind: str  # ``structural`` or ``practical``
-    contraction: float
-    pivot: str  # the parameter it is named after
-    sentence: str
-    effect: str
-    share: float  # of a limit, that 1.96 sd of what remains unknown takes; NaN without requirements
-    limit: str  # of which requirement
-    position: float  # what a round step does to a pose of the workspace, the design's units
-    rotation: float
-    posterior_contraction: float  # from draws; NaN without
-    plot: dict[str, str]  # what the axes of its plot are; empty where there is none
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """How a requirement is met, the design's units, NaN of what is not known; see the audit's results."""
-
-    name: str
-    unit: str
-    limit: float
-    prior_sd: float
-    predicted_sd: float
-    geometry_sd: float
-    prior_probability: float
-    probability: float
-    reduced_sd: float
-    reduced_probability: float
-
-
-@dataclass(frozen=True)
-class Change:
+class PlanChange:
     """What another plan determines: nats, contraction of practical ridges by pivot, sd of requirements; NaN if none."""
 
     name: str
     n_poses: int
-    possible: bool
-    beyond_range: bool
+    is_feasible: bool
+    is_beyond_range: bool
     nats: float
     n_identifiable: int
     ridges: dict[str, float]
@@ -79,7 +62,8 @@ class AuditResults:
 
     @classmethod
     def of(cls, results: Results) -> AuditResults:
-        """Return the view of an audit's results."""
+        """Return the view of an audit's results; InputError where a table is not as it is declared."""
+        check_tables(ROWS, results.tables, results.folder or Path())
         return cls(results.summary, {name: table for name, table in results.tables.items() if not table.empty})
 
     @property
@@ -90,7 +74,7 @@ class AuditResults:
     @property
     def is_measured(self) -> bool:
         """Whether the poses are those of a study's data, no plan."""
-        return "n_held_back" in self.summary["plan"]
+        return "n_verification_poses" in self.summary["plan"]
 
     @property
     def member(self) -> str:
@@ -102,10 +86,15 @@ class AuditResults:
         """How many poses are planned or measured."""
         return int(self.summary["plan"]["n_poses"])
 
+    @cached_property
+    def variants(self) -> list[AuditVariantRow]:
+        """In the design's order."""
+        return self._read(AuditVariantRow)
+
     @property
     def together(self) -> float:
         """Probability that all requirements are met; NaN where it is not known."""
-        return _number(self.summary.get("variants", {}).get(self.best, {}).get("probability"))
+        return next((row.probability for row in self.variants if row.variant == self.best), math.nan)
 
     def of_best(self, name: str) -> pd.DataFrame:
         """Return the rows and columns of a table that the best variant has; none where there is no such table."""
@@ -114,80 +103,72 @@ class AuditResults:
         table = self.tables[name]
         return table[table["variant"] == self.best].dropna(axis=1, how="all")
 
+    def _read[R: TableRow](self, row: type[R], best: bool = False) -> list[R]:
+        """Return the rows of a table, of the best variant alone where wanted; none where there is no such table."""
+        if row.table not in self.tables:
+            return []
+        table = self.tables[row.table]
+        return row.read(table[table["variant"] == self.best] if best else table)
+
     @cached_property
-    def parameters(self) -> pd.DataFrame:
-        """One row per parameter by name, with ``symbol`` and ``leg``, zero for the machine's own."""
-        rows = []
-        for name, values in self.summary["parameters"].items():
-            symbol, leg = split_name(name)
-            rows.append({"name": name, "symbol": symbol, "leg": leg, **values})
-        return pd.DataFrame(rows).set_index("name")
+    def accuracy(self) -> list[ToolUncertaintyRow]:
+        """Of the best variant's tool, a coordinate each."""
+        return self._read(ToolUncertaintyRow, best=True)
+
+    @cached_property
+    def parameters(self) -> list[AuditParameterRow]:
+        """Of the best variant, in the order of the layout."""
+        return self._read(AuditParameterRow, best=True)
+
+    @cached_property
+    def requirements(self) -> list[AuditRequirementRow]:
+        """Of the best variant, in the design's order."""
+        return self._read(AuditRequirementRow, best=True)
+
+    @cached_property
+    def steps(self) -> list[FreeingStepRow]:
+        """Of the search for the reduced set, in their order."""
+        return self._read(FreeingStepRow)
 
     @property
     def n_identifiable(self) -> int:
         """How many parameters are determined."""
-        return int((self.parameters["verdict"] == "identifiable").sum())
+        return sum(row.verdict == "identifiable" for row in self.parameters)
 
     @cached_property
     def symbols(self) -> list[str]:
         """Symbols in the order of the layout."""
-        return list(dict.fromkeys(self.parameters["symbol"]))
+        return list(dict.fromkeys(row.symbol for row in self.parameters))
 
     @cached_property
-    def ridges(self) -> list[Ridge]:
+    def ridges(self) -> list[AuditCombinationRow]:
         """The structural and practical directions in the audit's order."""
-        return [
-            Ridge(
-                number,
-                one["kind"],
-                float(one["contraction"]),
-                one["pivot"],
-                one["sentence"],
-                one["effect_on_pose"],
-                _number(one.get("share_of_limit")),
-                one.get("limit") or "",
-                float(one["changes_workspace_position"]),
-                float(one["changes_workspace_rotation"]),
-                _number(one.get("posterior_contraction")),
-                one.get("plot") or {},
-            )
-            for number, one in enumerate(self.summary["directions"], start=1)
-            if one["kind"] != "informed"
-        ]
+        return self._read(AuditCombinationRow)
 
     @cached_property
-    def groups(self) -> list[list[Ridge]]:
+    def groups(self) -> list[list[AuditCombinationRow]]:
         """Ridges of one kind that are named after the same symbol, one per leg, in the order of the first of each."""
-        found: dict[tuple[str, str], list[Ridge]] = {}
+        found: dict[tuple[str, str], list[AuditCombinationRow]] = {}
         for ridge in self.ridges:
             found.setdefault((ridge.kind, split_name(ridge.pivot)[0]), []).append(ridge)
         return list(found.values())
 
     @cached_property
-    def requirements(self) -> list[Requirement]:
-        """In the design's order."""
-        numbers = [name for name in Requirement.__dataclass_fields__ if name not in ("name", "unit")]
-        return [
-            Requirement(name, values["unit"], **{key: _number(values[key]) for key in numbers})
-            for name, values in self.summary["requirements"].items()
-        ]
-
-    @cached_property
-    def changes(self) -> list[Change]:
+    def changes(self) -> list[PlanChange]:
         """In the audit's order."""
+        ridges: dict[str, dict[str, float]] = {}
+        for one in self._read(AuditScenarioRow):
+            ridges.setdefault(one.scenario, {})[one.ridge] = one.contraction
         return [
-            Change(
-                one["name"],
-                one["n_poses"],
-                one["possible"],
-                one["beyond_actuator_range"],
-                _number(one.get("total_nats")),
-                int(one.get("n_identifiable") or 0),
-                *({name: _number(value) for name, value in one[key].items()} for key in ("ridges", "requirements")),
+            PlanChange(
+                row.alternative,
+                row.n_poses,
+                row.is_feasible,
+                row.is_beyond_range,
+                row.nats,
+                row.n_identifiable,
+                ridges.get(row.alternative, {}),
+                {name.removeprefix(PREDICTED_SD): sd for name, sd in row.others.items()},
             )
-            for one in self.summary["what_if"]
+            for row in self._read(AlternativeRow)
         ]
-
-
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)

@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from bayescal.experiments.audit.page.figures import span_profile
-from bayescal.experiments.audit.page.results import SIMULATED, AuditResults, Change, Ridge
+from bayescal.experiments.audit.page.results import SIMULATED, AuditResults, PlanChange
 from bayescal.experiments.audit.page.verdict import (
     choose_for_ridge,
     is_met,
@@ -35,15 +36,16 @@ from bayescal.experiments.audit.page.wording import (
     name_unit,
     say_most,
 )
+from bayescal.experiments.audit.rows import AuditCombinationRow, AuditParameterRow, FreeingStepRow
 from bayescal.experiments.shared.headline import LIKELY
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
-from bayescal.limits import COVERAGE, DEAD, INFORMED
+from bayescal.limits import COVERAGE, IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
 from bayescal.report.blocks import Card, Cell, Column, Level, Statement, Table, make_pairs, make_table
-from bayescal.report.numbers import NOTHING, format_fixed, format_plain, format_significant, join_words
+from bayescal.report.numbers import NO_VALUE, format_fixed, format_plain, format_significant, join_words
 from bayescal.report.symbols import split_name
 
-TOGETHER, NEVER = "only with others", "not identifiable"
-VERDICTS = ("identifiable", "weak", TOGETHER, NEVER)
+ONLY_TOGETHER, NEVER = "only with others", "not identifiable"
+VERDICTS = ("identifiable", "weak", ONLY_TOGETHER, NEVER)
 EFFECTS: dict[str, tuple[Level, str]] = {
     "harmful": ("bad", "harmful to the pose"),
     "noticeable": ("warning", "noticeable in the pose"),
@@ -70,21 +72,25 @@ def _mark(text: str, good: bool, otherwise: Level = "plain") -> Cell:
     return Cell(text, "good" if good else otherwise, badge=True)
 
 
-def _span(key: str, write: Callable[[float], str] = format_sd) -> Callable[[pd.DataFrame], str]:
+type Group = list[AuditParameterRow]
+"""Parameters of a symbol."""
+
+
+def _span(key: str, write: Callable[[float], str] = format_sd) -> Callable[[Group], str]:
     """Return how the values of a column are written as a range."""
-    return lambda group: format_range(list(group[key]), write)
+    return lambda group: format_range([getattr(row, key) for row in group], write)
 
 
 SYMBOL: tuple[Field, Field] = (
-    (Column("Symbol", kind="symbol"), lambda group: str(group["symbol"].iloc[0])),
-    (Column("Unit", kind="text"), lambda group: name_unit(str(group["unit"].iloc[0]))),
+    (Column("Symbol", kind="symbol"), lambda group: group[0].symbol),
+    (Column("Unit", kind="text"), lambda group: name_unit(group[0].unit)),
 )
 write_tolerance = _span("prior_sd")
 TOLERANCE: Field = (Column("Tolerance", "sd"), write_tolerance)
 
 
-def _by_symbol(frame: pd.DataFrame) -> list[pd.DataFrame]:
-    return [group for _, group in frame.groupby("symbol", sort=False)]
+def _by_symbol(results: AuditResults) -> list[Group]:
+    return [[row for row in results.parameters if row.symbol == symbol] for symbol in results.symbols]
 
 
 # --- parameters ------------------------------------------------------------------------------------------------------
@@ -93,69 +99,60 @@ def _by_symbol(frame: pd.DataFrame) -> list[pd.DataFrame]:
 def tabulate_symbols(results: AuditResults) -> Table:
     """Return one row per symbol, the legs as ranges."""
 
-    def explain(group: pd.DataFrame) -> str:
-        worst = group.sort_values("contraction").iloc[0]
-        return f"{results.member.capitalize()} {worst['leg']}: {worst['why']}" if worst["leg"] else str(worst["why"])
+    def explain(group: Group) -> str:
+        least = min(group, key=lambda row: row.contraction)
+        return f"{results.member.capitalize()} {least.leg}: {least.reason}" if least.leg else least.reason
 
     fields: list[Field] = [
         *(*SYMBOL, TOLERANCE),
-        (Column("Remains", "sd"), _span("posterior_sd")),
+        (Column("Residual uncertainty", "sd"), _span("posterior_sd")),
         (
-            Column("Of tolerance"),
-            lambda group: format_range(_remaining(group).to_list(), format_share).replace(" % to", " to"),
+            Column("Posterior sd / prior sd"),
+            lambda group: _span("sd_ratio", format_share)(group).replace(" % to", " to"),
         ),
         (Column("Contraction"), _span("contraction", format_contraction)),
         (Column("Verdict", kind="text"), _summarise_verdicts),
-        (Column(f"Why, on the {results.member} that is known least", kind="text"), explain),
+        (Column(f"Reason, on the {results.member} that is known least", kind="text"), explain),
     ]
-    notes = (
-        "Verdict: identifiable where the tolerance is at least halved (contraction 0.75 or more); not where most "
-        "of what is left unknown lies along combinations of which nothing is learnt; weak else.",
-        "All parameters are free, also those that the poses do not determine: their priors bound them.",
-    )
+    notes = ("Identifiable: contraction ≥ 0.75. Not: most of the variance lies along undetermined combinations.",)
     caption = f"Parameters by symbol; ranges are over the {results.member}s."
-    return _tabulate(caption, fields, _by_symbol(results.parameters), notes, "wide parameters")
+    return _tabulate(caption, fields, _by_symbol(results), notes, "wide parameters")
 
 
-def _remaining(parameters: Any) -> Any:
-    return parameters["posterior_sd"] / parameters["prior_sd"]
-
-
-def _summarise_verdicts(group: pd.DataFrame) -> Cell:
-    marks = [_mark_verdict(row) for _, row in group.iterrows()]
+def _summarise_verdicts(group: Group) -> Cell:
+    marks = [_mark_verdict(row) for row in group]
     counts = Counter(mark.text for mark in marks)
     if len(counts) == 1:
         return marks[0]
     return _mark(", ".join(f"{counts[name]} {name}" for name in VERDICTS if name in counts), False, "warning")
 
 
-def _mark_verdict(parameter: pd.Series) -> Cell:
+def _mark_verdict(row: AuditParameterRow) -> Cell:
     """Return a parameter's verdict; one that loses something of its tolerance is known beside others."""
-    verdict = str(parameter["verdict"])
-    text = verdict if verdict != "not" else TOGETHER if parameter["contraction"] >= DEAD else NEVER
-    return Cell(text, VERDICT_LEVELS[verdict], badge=True)
+    text: str = row.verdict
+    if row.verdict == "not":
+        text = ONLY_TOGETHER if row.contraction >= UNIDENTIFIABLE_CONTRACTION else NEVER
+    return Cell(text, VERDICT_LEVELS[row.verdict], badge=True)
 
 
 def tabulate_parameters(results: AuditResults) -> Table:
     """Return one row per parameter."""
-
-    def write_nominal(row: pd.Series) -> str:
-        return f"{format_nominal(row['nominal'], row['prior_sd'])} {name_unit(row['unit'])}".strip()
-
     fields: list[Field] = [
-        (Column("Symbol", kind="symbol"), lambda row: row["symbol"]),
-        (Column(results.member.capitalize()), lambda row: str(row["leg"] or NOTHING)),
-        (Column("Nominal"), write_nominal),
-        (Column("Tolerance", "sd"), lambda row: format_sd(row["prior_sd"])),
-        (Column("Remains", "sd"), lambda row: format_sd(row["posterior_sd"])),
-        (Column("Of tolerance"), lambda row: format_share(_remaining(row))),
-        (Column("Contraction"), lambda row: format_contraction(row["contraction"])),
-        (Column("Learnt", "nat"), lambda row: write_two(row["nats"])),
+        (Column("Symbol", kind="symbol"), lambda row: row.symbol),
+        (Column(results.member.capitalize()), lambda row: str(row.leg or NO_VALUE)),
+        (
+            Column("Nominal"),
+            lambda row: f"{format_nominal(row.nominal, row.prior_sd)} {name_unit(row.unit)}".strip(),
+        ),
+        (Column("Tolerance", "sd"), lambda row: format_sd(row.prior_sd)),
+        (Column("Residual uncertainty", "sd"), lambda row: format_sd(row.posterior_sd)),
+        (Column("Posterior sd / prior sd"), lambda row: format_share(row.sd_ratio)),
+        (Column("Contraction"), lambda row: format_contraction(row.contraction)),
+        (Column("Information gain", "nat"), lambda row: write_two(row.nats)),
         (Column("Verdict", kind="text"), _mark_verdict),
-        (Column("Why", kind="text"), lambda row: row["why"]),
+        (Column("Reason", kind="text"), lambda row: row.reason),
     ]
-    rows = [row for _, row in results.parameters.iterrows()]
-    return _tabulate("All parameters.", fields, rows, style="wide parameters")
+    return _tabulate("All parameters.", fields, results.parameters, style="wide parameters")
 
 
 # --- ridges ----------------------------------------------------------------------------------------------------------
@@ -172,17 +169,14 @@ def build_ridges(results: AuditResults) -> tuple[Card, ...]:
         kind = Cell("never seen", "bad") if structural else Cell("weak", "warning")
         facts = _describe_ridges(results, ridges)
         if not structural and (best := choose_for_ridge(results, first.pivot)) is not None:
-            facts.append(
-                f"Best of the changes looked at: “{best[0].name}”, contraction {format_contraction(best[1])} on the "
-                f"{results.member} shown."
-            )
+            facts.append(f"Best alternative: “{best[0].name}”, contraction {format_contraction(best[1])}.")
         others = tuple(ridge.sentence for ridge in ridges[1:])
         more, symbol = f"{len(others)} more of this kind", split_name(first.pivot)[0]
         cards.append(Card(symbol, where, (kind, Cell(words, level)), first.sentence, tuple(facts), more, others))
     return tuple(cards)
 
 
-def _describe_ridges(results: AuditResults, ridges: list[Ridge]) -> list[str]:
+def _describe_ridges(results: AuditResults, ridges: list[AuditCombinationRow]) -> list[str]:
     """Return contractions of ridges and what they do to a pose, in sentences."""
     facts, parts = [], []
     if ridges[0].kind == "practical":
@@ -196,12 +190,12 @@ def _describe_ridges(results: AuditResults, ridges: list[Ridge]) -> list[str]:
     if position > 0.0 or rotation > 0.0:
         moved = format_change(position, rotation, results.summary["units"])
         of_all = f" (the largest of all {results.member}s)" if len(ridges) > 1 else ""
-        facts.append(f"The step above moves a pose anywhere in the workspace by at most {moved}{of_all}.")
-    judged = [ridge for ridge in ridges if not math.isnan(ridge.share)]
+        facts.append(f"Largest effect of this step on a pose: {moved}{of_all}.")
+    judged = [ridge for ridge in ridges if not math.isnan(ridge.sd_over_limit)]
     if judged:
-        worst = max(judged, key=lambda ridge: ridge.share)
-        most, limit = say_most(format_share(worst.share)), name_requirement(worst.limit)
-        facts.append(f"What remains unknown moves the predicted pose by {most} of the limit of {limit}.")
+        worst = max(judged, key=lambda ridge: ridge.sd_over_limit)
+        most, limit = say_most(format_share(worst.sd_over_limit)), name_requirement(worst.limit)
+        facts.append(f"Effect on the tool {most} of the {limit} limit.")
     return facts
 
 
@@ -210,35 +204,32 @@ def _describe_ridges(results: AuditResults, ridges: list[Ridge]) -> list[str]:
 
 def tabulate_sets(results: AuditResults) -> Table | None:
     """Return what everything free and the reduced set claim and truly err by; None without a reduced set."""
-    if results.parameters["reduced_claimed_sd"].isna().all():
+    if all(math.isnan(row.reduced_claimed_sd) for row in results.parameters):
         return None
 
-    def write_reduced(key: str, absent: str) -> Callable[[pd.DataFrame], str]:
-        def write(group: pd.DataFrame) -> str:
-            known = group[key].dropna()
-            return format_range(list(known), format_sd) if len(known) else absent or write_tolerance(group)
+    def write_reduced(key: str, absent: str) -> Callable[[Group], str]:
+        def write(group: Group) -> str:
+            known = [x for row in group if not math.isnan(x := getattr(row, key))]
+            return format_range(known, format_sd) if known else absent or write_tolerance(group)
 
         return write
 
-    def cover_reduced(group: pd.DataFrame) -> str | Cell:
-        coverage = group["reduced_coverage_90"].dropna()
-        return _judge_coverage(float(coverage.mean())) if len(coverage) else NOTHING
+    def cover_reduced(group: Group) -> str | Cell:
+        known = [row.reduced_coverage_90 for row in group if not math.isnan(row.reduced_coverage_90)]
+        return _judge_coverage(sum(known) / len(known)) if known else NO_VALUE
 
     every, reduced = "Everything free", "Reduced set"
     fields: list[Field] = [
         *(*SYMBOL, TOLERANCE),
-        (Column("claims", "sd", every), _span("posterior_sd")),
-        (Column("errs by", "rms", every), _span("posterior_sd")),
-        (Column("covers", "of 90 %", every), lambda _: format_share(COVERAGE)),
-        (Column("claims", "sd", reduced), write_reduced("reduced_claimed_sd", "nominal")),
-        (Column("errs by", "rms", reduced), write_reduced("reduced_true_error", "")),
-        (Column("covers", "of 90 %", reduced), cover_reduced),
+        (Column("predicted sd", "", every), _span("posterior_sd")),
+        (Column("RMSE", "", every), _span("posterior_sd")),
+        (Column("90 % coverage", "", every), lambda _: format_share(COVERAGE)),
+        (Column("predicted sd", "", reduced), write_reduced("reduced_claimed_sd", "nominal")),
+        (Column("RMSE", "", reduced), write_reduced("reduced_true_error", "")),
+        (Column("90 % coverage", "", reduced), cover_reduced),
     ]
-    note = (
-        "True errors where every parameter is off by its tolerance, to first order; of what the reduced set takes for "
-        "nominal the error is the tolerance. Simulated calibrations, where asked for, show the same beyond first order."
-    )
-    return _tabulate("What both sets claim, and what is true.", fields, _by_symbol(results.parameters), [note])
+    note = "RMSE when all parameters deviate by one prior sd (first order); for fixed parameters RMSE = prior sd."
+    return _tabulate("Predicted sd against RMSE, full and reduced parameter set.", fields, _by_symbol(results), [note])
 
 
 def _judge_coverage(coverage: float) -> Cell:
@@ -247,37 +238,33 @@ def _judge_coverage(coverage: float) -> Cell:
 
 def tabulate_selection(results: AuditResults) -> Table | None:
     """Return the steps of the selection with the reason of each; None without any."""
-    steps = results.summary["selection"]
-    if not steps:
+    if not results.steps:
         return None
 
-    def give_reason(step: dict[str, Any]) -> str:
-        least = format_contraction(step["contraction"])
-        if step["taken"]:
-            return f"all chosen parameters stay determined, the least at {least}"
-        return f"with it a chosen parameter would be known to a contraction of {least} only"
+    def give_reason(step: FreeingStepRow) -> str:
+        least = format_contraction(step.contraction)
+        if step.is_included:
+            return f"minimum contraction {least}"
+        return f"adding it lowers the minimum contraction to {least}"
 
     fields: list[Field] = [
-        (Column("Symbol", kind="symbol"), lambda step: step["symbol"]),
-        (Column("Learnt", "nat per parameter"), lambda step: write_two(step["nats"])),
+        (Column("Symbol", kind="symbol"), lambda step: step.symbol),
+        (Column("Information gain", "nat per parameter"), lambda step: write_two(step.nats)),
         (
             Column("Least contraction", "of all chosen, with it"),
-            lambda step: format_contraction(step["contraction"]),
+            lambda step: format_contraction(step.contraction),
         ),
         (
             Column("Decision", kind="text"),
-            lambda step: _mark("taken" if step["taken"] else "left out", step["taken"]),
+            lambda step: _mark("included" if step.is_included else "left out", step.is_included),
         ),
         (Column("Reason", kind="text"), give_reason),
     ]
-    notes = [
-        "The symbol that the measurements determine best, given what is already chosen, is taken next; it is "
-        f"taken where all chosen parameters stay at or above a contraction of {format_plain(INFORMED)}."
-    ]
-    if extra := results.summary["could_also_be_freed"]:
-        notes.append(f"On single ones it could hold more: {list_names(extra, results.member)}.")
-    caption = "How the reduced set is found: symbols in the order in which they are looked at."
-    return _tabulate(caption, fields, steps, notes)
+    notes = [f"Included where all chosen parameters keep a contraction of {format_plain(IDENTIFIABLE_CONTRACTION)}."]
+    if extra := results.summary["also_identifiable"]:
+        notes.append(f"Could also include single parameters: {list_names(extra, results.member)}.")
+    caption = "Reduced set: symbols in the order in which they are tried."
+    return _tabulate(caption, fields, results.steps, notes)
 
 
 # --- requirements ----------------------------------------------------------------------------------------------------
@@ -293,26 +280,25 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         return _mark("yes", True) if is_met(results, r) else _mark("not reliably", False, "bad")
 
     fields: list[Field] = [
-        (Column("Requirement", kind="text"), lambda r: name_requirement(r.name)),
+        (Column("Requirement", kind="text"), lambda r: name_requirement(r.requirement)),
         (Column("Limit"), lambda r: format_plain(r.limit)),
         (Column("Unit", kind="text"), lambda r: name_unit(r.unit)),
         (Column("before", "", sd), lambda r: format_sd(r.prior_sd)),
         (Column("after", "", sd), lambda r: format_sd(r.predicted_sd)),
-        (Column("by geometry", "", sd), lambda r: format_sd(r.geometry_sd)),
+        (Column("by parameters", "", sd), lambda r: format_sd(r.parameter_sd)),
         (Column("of limit", "", sd), lambda r: format_share(r.predicted_sd / r.limit)),
         (Column("reduced set", "", sd), lambda r: format_sd(r.reduced_sd)),
         (Column("before", "", chance), lambda r: format_probability(r.prior_probability)),
         (Column("after", "", chance), lambda r: format_probability(r.probability)),
         (Column("reduced set", "", chance), lambda r: format_probability(r.reduced_probability)),
-        (Column("after, by draws", "", chance), lambda r: format_probability(drawn.get(r.name, math.nan))),
+        (Column("after, by draws", "", chance), lambda r: format_probability(drawn.get(r.requirement, math.nan))),
         (Column("Met", kind="text"), mark),
     ]
     if not drawn:
         del fields[-2]
     note = (
-        "Standard deviation: the largest anywhere in the workspace; probability: that no pose of the workspace exceeds "
-        f"the limit; met: with a probability of {format_plain(LIKELY)} or more. Reduced set: it alone is "
-        "calibrated, the others are taken for nominal although they are off by their tolerances."
+        "Sd: largest of the workspace. Probability: that no pose exceeds the limit; met: at least "
+        f"{format_plain(LIKELY)}. Reduced set: all other parameters nominal."
     )
     caption = "Requirements on the pose before and after the calibration."
     return _tabulate(caption, fields, results.requirements, [note])
@@ -325,7 +311,7 @@ def tabulate_changes(results: AuditResults) -> Table | None:
     """Return what each change of the plan would determine, the plan itself first; None without any."""
     if not results.changes:
         return None
-    planned = Change(
+    planned = PlanChange(
         "as it is" if results.is_measured else "as planned",
         results.n_poses,
         True,
@@ -333,37 +319,37 @@ def tabulate_changes(results: AuditResults) -> Table | None:
         results.summary["total_nats"],
         results.n_identifiable,
         {},
-        {r.name: r.predicted_sd for r in results.requirements},
+        {r.requirement: r.predicted_sd for r in results.requirements},
     )
 
-    def write_sd(name: str) -> Callable[[Change], str]:
-        def write(change: Change) -> str:
+    def write_sd(name: str) -> Callable[[PlanChange], str]:
+        def write(change: PlanChange) -> str:
             value = change.requirements.get(name, math.nan)
-            return NOTHING if math.isnan(value) and change is not planned else format_sd(value)
+            return NO_VALUE if math.isnan(value) and change is not planned else format_sd(value)
 
         return write
 
     fields: list[Field] = [
         (Column("Change of the plan", kind="text"), name_change),
         (Column("Poses"), lambda change: str(change.n_poses)),
-        (Column("Learnt", "nat"), lambda change: format_fixed(change.nats, 1)),
+        (Column("Information gain", "nat"), lambda change: format_fixed(change.nats, 1)),
         (
             Column("Determined", "parameters"),
-            lambda change: str(change.n_identifiable) if change.possible else NOTHING,
+            lambda change: str(change.n_identifiable) if change.is_feasible else NO_VALUE,
         ),
         *(
-            (Column(name_requirement(r.name), name_unit(r.unit), "Predicted sd"), write_sd(r.name))
+            (Column(name_requirement(r.requirement), name_unit(r.unit), "Predicted sd"), write_sd(r.requirement))
             for r in results.requirements
         ),
         (Column("Tightest", "of its limit"), lambda change: format_share(measure_worst(results, change))),
     ]
     notes = []
-    if any(change.beyond_range for change in results.changes):
-        notes.append("† needs larger displacements than the actuators have.")
-    if any(not change.possible for change in results.changes):
-        notes.append("‡ cannot be: the machine does not reach these poses.")
+    if any(change.is_beyond_range for change in results.changes):
+        notes.append("†: beyond the actuators' range.")
+    if any(not change.is_feasible for change in results.changes):
+        notes.append("‡: poses not reachable.")
     shown = fields if results.requirements else fields[:-1]
-    return _tabulate("Other plans, with the same requirements.", shown, [planned, *results.changes], notes, "wide")
+    return _tabulate("Alternative plans.", shown, [planned, *results.changes], notes, "wide")
 
 
 def tabulate_ridge_help(results: AuditResults) -> Table | None:
@@ -374,16 +360,18 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
         return None
     fields: list[Field] = [
         (Column("Ridge of", kind="symbol"), lambda one: split_name(one[0].pivot)[0]),
-        (Column(results.member.capitalize()), lambda one: str(split_name(one[0].pivot)[1] or NOTHING)),
+        (Column(results.member.capitalize()), lambda one: str(split_name(one[0].pivot)[1] or NO_VALUE)),
         (Column("Contraction", "as planned"), lambda one: format_contraction(one[0].contraction)),
         (Column("Best change within the actuators' range", kind="text"), lambda one: one[1][0].name),
         (Column("Contraction", "then"), lambda one: format_contraction(one[1][1])),
         (
             Column("", kind="text"),
-            lambda one: _mark("determined", True) if one[1][1] >= INFORMED else _mark("still not", False),
+            lambda one: (
+                _mark("determined", True) if one[1][1] >= IDENTIFIABLE_CONTRACTION else _mark("still not", False)
+            ),
         ),
     ]
-    return _tabulate("For each weak combination the change that determines it best.", fields, found)
+    return _tabulate("Best alternative for each weak combination.", fields, found)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -409,31 +397,32 @@ def tabulate_profiles(results: AuditResults) -> Table | None:
     group = "95 % interval, from expected"
     fields: list[Field] = [
         (Column("Symbol", kind="symbol"), lambda one: split(one)[0]),
-        (Column(results.member.capitalize()), lambda one: str(split(one)[1] or NOTHING)),
-        SYMBOL[1],
+        (Column(results.member.capitalize()), lambda one: str(split(one)[1] or NO_VALUE)),
+        (Column("Unit", kind="text"), lambda one: name_unit(str(one["unit"].iloc[0]))),
         (Column("measurements alone", "", group), write_interval("deviance_data")),
         (Column("with the tolerances", "", group), write_interval("deviance_total")),
         (Column("Moves along", kind="text"), lambda one: _name_followers(results, one["parameter"].iloc[0])),
     ]
-    note = "“open”: the deviance stays below 3.84 as far as it was computed."
+    note = "Open: no finite 95 % interval found."
     items = [one for _, one in profiles.groupby("parameter", sort=False)]
     return _tabulate("Profile likelihoods.", fields, items, [note])
 
 
 def _name_followers(results: AuditResults, name: str) -> str:
     """Return the parameters that move most along a profile, in units of their tolerances."""
-    known = results.parameters
-    paths = results.tables.get("profile_paths", pd.DataFrame(columns=["parameter", "other"]))
-    rows = paths[(paths["parameter"] == name) & paths["other"].isin(list(known.index))]
-    if rows.empty:
-        return NOTHING
-    reach = rows.groupby("other")["other_value"].agg(lambda v: float(v.max() - v.min()))
-    share = (reach / known["prior_sd"].reindex(reach.index)).sort_values(ascending=False)
+    known = {row.parameter: row for row in results.parameters}
+    paths = results.tables.get("profile_paths", pd.DataFrame(columns=["parameter", "other", "other_value"]))
+    rows = paths[(paths["parameter"] == name) & paths["other"].isin(list(known))]
+    reach = {str(other): float(np.ptp(values.to_numpy())) for other, values in rows.groupby("other")["other_value"]}
+    if not reach:
+        return NO_VALUE
+    share = {other: size / known[other].prior_sd for other, size in reach.items()}
     words = [
-        f"{other} by {format_sd(float(reach[other]))} {name_unit(str(known.loc[other, 'unit']))}".strip()
-        for other in share[share > 0.1].head(FOLLOWERS).index
+        f"{other} by {format_sd(reach[other])} {name_unit(known[other].unit)}".strip()
+        for other in sorted(share, key=lambda one: -share[one])[:FOLLOWERS]
+        if share[other] > 0.1
     ]
-    return join_words(words) if words else "nothing by a tenth of its tolerance"
+    return join_words(words) if words else "none by a tenth of its prior sd"
 
 
 def tabulate_posterior(results: AuditResults) -> Table | None:
@@ -441,17 +430,22 @@ def tabulate_posterior(results: AuditResults) -> Table | None:
     posterior = results.summary.get("posterior")
     if posterior is None or not posterior["parameters"]:
         return None
-    drawn = pd.DataFrame.from_dict(posterior["parameters"], orient="index")
-    frame = results.parameters.join(drawn[["sd"]].rename(columns={"sd": "drawn_sd"}), how="inner")
-    frame["ratio"] = frame["drawn_sd"] / frame["posterior_sd"]
+    drawn = {name: float(one["sd"]) for name, one in posterior["parameters"].items()}
+    groups = [[row for row in group if row.parameter in drawn] for group in _by_symbol(results)]
     fields: list[Field] = [
         *(*SYMBOL, TOLERANCE),
-        (Column("from information", "sd", "What remains"), _span("posterior_sd")),
-        (Column("from draws", "sd", "What remains"), _span("drawn_sd")),
-        (Column("Ratio", "draws to information"), _span("ratio", write_two)),
+        (Column("from information", "sd", "Residual uncertainty"), _span("posterior_sd")),
+        (
+            Column("from draws", "sd", "Residual uncertainty"),
+            lambda group: format_range([drawn[row.parameter] for row in group], format_sd),
+        ),
+        (
+            Column("Ratio", "draws to information"),
+            lambda group: format_range([drawn[row.parameter] / row.posterior_sd for row in group], write_two),
+        ),
     ]
-    caption = "What remains unknown, from draws and from the information; ranges over legs."
-    return _tabulate(caption, fields, _by_symbol(frame))
+    caption = "Posterior sd from draws and from the linearised information; ranges over legs."
+    return _tabulate(caption, fields, [group for group in groups if group])
 
 
 def tabulate_simulated(results: AuditResults) -> list[Table]:
@@ -468,17 +462,17 @@ def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
     fields: list[Field] = [
         (Column("Symbol", kind="symbol"), lambda one: one["symbol"]),
         (Column("Unit", kind="text"), lambda one: name_unit(one["unit"])),
-        (Column("Claimed", "sd"), lambda one: format_sd(one["claimed_sd"])),
-        (Column("Predicted", "rms error"), lambda one: format_sd(one["predicted_sd"])),
-        (Column("Simulated", "rms error"), lambda one: format_sd(one["simulated_sd"])),
-        (Column("Simulated by predicted", "± standard error"), write_ratio),
-        (Column("Covers", "of 90 %"), lambda one: _judge_coverage(one["coverage_90"])),
+        (Column("Predicted sd"), lambda one: format_sd(one["claimed_sd"])),
+        (Column("Predicted RMSE"), lambda one: format_sd(one["predicted_sd"])),
+        (Column("Simulated RMSE"), lambda one: format_sd(one["simulated_sd"])),
+        (Column("Simulated / predicted", "± standard error"), write_ratio),
+        (Column("90 % coverage"), lambda one: _judge_coverage(one["coverage_90"])),
     ]
     made = f"{simulated['n_converged']} of {count(simulated['n'], 'calibration')} converged"
     caption = f"Errors of simulated calibrations and their prediction, rms over legs; {what}; {made}."
     notes = [
-        f"All together: 90 % intervals hold {format_share(simulated['coverage_90'])} of the true values, the errors "
-        f"are {format_significant(simulated['rms_z'], 3)} times what is claimed (rms)."
+        f"All: coverage of 90 % intervals {format_share(simulated['coverage_90'])}, RMSE / predicted sd "
+        f"{format_significant(simulated['rms_z'], 3)}."
     ]
     kept = [
         f"{name_requirement(name)} {one['kept']} of {one['n']} "
@@ -502,7 +496,7 @@ def tabulate_audit(results: AuditResults) -> Table:
         ["Audit", summary["name"]],
         ["Units of tolerances, results and requirements", f"{name_unit(units['length'])}, {name_unit(units['angle'])}"],
         ["Structural rank", f"{rank}, {clear}{f', gap {format_sd(gap)}' if gap is not None else ''}"],
-        ["Learnt in all", f"{format_fixed(summary['total_nats'], 1)} nat"],
+        ["Information gain", f"{format_fixed(summary['total_nats'], 1)} nat"],
         ["Directions", directions],
         ["Workspace", _describe_workspace(summary["plan"].get("workspace", {}))],
     ]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from bayescal.experiments.audit.page.results import Change
+from bayescal.experiments.audit.page.results import PlanChange
 from bayescal.report.numbers import (
-    NOTHING,
+    NO_VALUE,
     count_decimals,
     format_count,
     format_fixed,
@@ -18,7 +18,7 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.symbols import shown_in, split_name
 
-SURE = 0.9995
+CERTAIN_PROBABILITY = 0.9995
 SMALLEST_SAID = {"mm": 1e-6, "rad": 5e-9}
 DIRECTIONS = {
     **{f"r{axis}": f"rotation about {axis}" for axis in "xyz"},
@@ -33,9 +33,9 @@ def name_requirement(name: str) -> str:
     return DIRECTIONS.get(name, name)
 
 
-def name_change(change: Change) -> str:
+def name_change(change: PlanChange) -> str:
     """Return a change with a mark where the actuators do not reach that far or it cannot be."""
-    return f"{change.name}{' †' if change.beyond_range else ''}{' ‡' if not change.possible else ''}"
+    return f"{change.name}{' †' if change.is_beyond_range else ''}{' ‡' if not change.is_feasible else ''}"
 
 
 def name_unit(unit: str) -> str:
@@ -46,7 +46,7 @@ def name_unit(unit: str) -> str:
 def format_contraction(value: float) -> str:
     """Return a contraction with two decimals; what is not quite 0 or 1 is said so."""
     if math.isnan(value):
-        return NOTHING
+        return NO_VALUE
     if value >= 0.995:
         return "1" if value == 1.0 else ">0.99"
     if value < 0.005:
@@ -58,7 +58,7 @@ def format_share(fraction: float) -> str:
     """Return a fraction in per cent with two significant digits, at least 0.1 %."""
     percent = 100.0 * fraction
     if math.isnan(percent):
-        return NOTHING
+        return NO_VALUE
     if percent < 0.1:
         return "<0.1 %"
     return f"{format_count(percent) if percent >= 99.5 else format_plain(percent, 2)} %"
@@ -68,10 +68,12 @@ def format_probability(value: float) -> str:
     """Return a probability that was counted over some thousand draws."""
     percent = 100.0 * value
     if math.isnan(value):
-        return NOTHING
-    if value >= SURE:
+        return NO_VALUE
+    if value >= CERTAIN_PROBABILITY:
         return ">99.9 %"
-    return "<0.1 %" if value <= 1.0 - SURE else f"{format_fixed(percent, 0 if 5 < percent < 95 else 1)} %"
+    return (
+        "<0.1 %" if value <= 1.0 - CERTAIN_PROBABILITY else f"{format_fixed(percent, 0 if 5 < percent < 95 else 1)} %"
+    )
 
 
 def say(text: str) -> str:

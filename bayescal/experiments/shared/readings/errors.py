@@ -1,4 +1,4 @@
-"""Errors of readings, from their sections to terms: those named in [errors], and the model error in its terms."""
+"""Errors of readings, from their sections to terms: those named in [error_terms], and the model error in its terms."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import (
     COVERED_BY,
-    FunctionsOfPose,
-    IndependentErrors,
-    OwnChannels,
+    GPTerm,
+    OwnChannelRows,
+    RandomTerm,
     build_model_error,
 )
-from bayescal.density.calibration.terms import Errors, ErrorTerm, TermRows, check_term
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
 from bayescal.density.priors import Prior
 from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
@@ -33,7 +33,7 @@ from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 
-NO_ERRORS = Errors()
+NO_ERRORS = ErrorModel()
 N_COVERED = 60  # poses at which functions of the model error are compared with parameters
 LARGEST_GRID = 3**6  # poses over the workspace, from which the readings' ranges are taken
 
@@ -57,21 +57,21 @@ def build_terms(
     InputError
         For an unknown name, an error on a channel that is not there, and whatever a term refuses.
     """
-    for name in section.errors or ():
-        if name not in config.errors:
-            raise InputError(f"errors: found {name!r}, expected some of {', '.join(config.errors) or 'none'}")
+    for name in section.error_terms or ():
+        if name not in config.error_terms:
+            raise InputError(f"error_terms: found {name!r}, expected some of {', '.join(config.error_terms) or 'none'}")
     model, groups, found = whole.pick(chosen), group_channels(config, whole), []
     everywhere = [{one.name, one.kind, group} for one, group in zip(whole.channels, groups, strict=True)]
-    for name, one in config.errors.items():
-        if section.errors is not None and name not in section.errors:
+    for name, one in config.error_terms.items():
+        if section.error_terms is not None and name not in section.error_terms:
             continue
         wanted = one.options.get("channels")
-        if section.errors is None and wanted and _is_elsewhere(wanted, everywhere, chosen):
+        if section.error_terms is None and wanted and _is_elsewhere(wanted, everywhere, chosen):
             continue
         rows = TermRows(name, model, data, tuple(groups[k] for k in chosen), reach, positions.home, positions)
-        with name_faults(f"errors.{name}"):
-            choice = choose("ERRORS", one.kind, ErrorTerm, f"errors.{name}.kind", folder, one.options)
-            with name_failures(choice.found, f"errors.{name}", folder):
+        with name_faults(f"error_terms.{name}"):
+            choice = choose("ERRORS", one.kind, ErrorTerm, f"error_terms.{name}.kind", folder, one.options)
+            with name_failures(choice.found, f"error_terms.{name}"):
                 term = choice.found.build(choice.options, rows)
             check_term(term, data)
             if isinstance(term, FunctionErrors):
@@ -116,9 +116,9 @@ def build_terms_of_model(
     error: ModelErrorConfig,
     model: ReadingModel,
     data: Measurements,
-    own: OwnChannels,
+    own: OwnChannelRows,
     tolerances: Mapping[str, Prior],
-    others: Errors = NO_ERRORS,
+    others: ErrorModel = NO_ERRORS,
     few: bool | None = None,
 ) -> tuple[tuple[ErrorTerm, ...], str]:
     """Return the terms of a variant's model error, and in a line which of them there cannot be; empty for none.
@@ -162,13 +162,13 @@ def build_terms_of_model(
         there,
         error.scales(own.find_noise(data)),
         {name: MICROMETRE * floor for name, floor in floors.items()},
-        error.per_leg,
+        error.separate_by_leg,
         few=data.n_poses * (len(model.channels) - len(model.coordinates)) > MOST_ROWS if few is None else few,
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
     known = [name for name, covered in zip(own.names, own.covered.diagonal(), strict=True) if covered]
-    if known and {"linear", "own"} & {*there}:
+    if known and {"linear", "positioning"} & {*there}:
         said.append(f"no error linear in the own position of {', '.join(known)}, as {COVERED_BY}")
     return left, f"the model error has {' and '.join(said)}" if said else ""
 
@@ -181,13 +181,13 @@ def find_own_channels(
     reach: Array,
     positions: RowPositions,
     workspace: Workspace,
-) -> OwnChannels:
+) -> OwnChannelRows:
     """Return a machine's own channels, with the linear errors that the free parameters of a posterior are.
 
     ``pose`` (P, q): where the nominal machine explains all P rows best; ``used``: which of them are for calibration.
     """
     model = posterior.likelihood.model
-    own = OwnChannels.find(model, data, pose, used, positions, reach)
+    own = OwnChannelRows.find(model, data, pose, used, positions, reach)
     start, many = posterior.first_machine, workspace.draw(N_COVERED, np.random.default_rng(0))
     rows = np.random.default_rng(1).integers(0, data.n_poses, len(many))  # channels may move by what is given alone
     given = {name: value[rows] for name, value in data.given.items()}
@@ -195,11 +195,11 @@ def find_own_channels(
         return own.cover(model, posterior.sampling.jacobian(start), start, many, given)
 
 
-def _find_costly(others: Errors) -> str:
+def _find_costly(others: ErrorModel) -> str:
     """Return why errors with as many coefficients as rows cost too much beside others; empty where they do not."""
     if others.outliers.expected:
         return "single rows may be outliers"
-    return "there are other functions in [errors]" if others.has_columns else ""
+    return "there are other functions in [error_terms]" if others.has_columns else ""
 
 
 def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) -> None:
@@ -208,7 +208,7 @@ def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) 
     for name, floor in floors.items():
         if floor > largest:
             raise InputError(
-                f"model_error.at_least_um: found {floor:g} µm for {name!r}, expected less than the largest "
+                f"model_error.floor_um: found {floor:g} µm for {name!r}, expected less than the largest "
                 f"tolerance, {largest:g} µm"
             )
 
@@ -216,5 +216,5 @@ def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) 
 def drop_model_error(posterior: CalibrationPosterior) -> CalibrationPosterior:
     """Return a posterior without the terms of its model error."""
     errors = posterior.errors
-    others = tuple(one for one in errors.terms if not isinstance(one, IndependentErrors | FunctionsOfPose))
+    others = tuple(one for one in errors.terms if not isinstance(one, RandomTerm | GPTerm))
     return replace(posterior, errors=replace(errors, terms=others))

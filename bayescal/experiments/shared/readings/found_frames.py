@@ -16,7 +16,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
-from bayescal.density.calibration.terms import Errors
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.elimination import invert
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
@@ -28,7 +28,7 @@ from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.workspace import build_workspace, search_starts
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.limits import FAR_AWAY
-from bayescal.machines.readings import FunctionModel, Instrument, Placed, ReadingModel, place
+from bayescal.machines.readings import FunctionModel, Instrument, InstrumentedMachine, ReadingModel, place
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.units import Units
 from bayescal.report.numbers import format_significant, join_words
@@ -45,6 +45,7 @@ FITS = 5.0  # rms of readings over what tolerances and noise explain, up to whic
 TRAVEL = 0.02  # of how far the tool moves, that a frame has to miss readings by to be said not to fit
 A_STEP = 2.0  # times the rms of the found frame: least squares find the way from a stated one whose first step ends so
 CONTRADICTED = 10.0  # standard deviations by which a stated frame is refused
+TURN = 2.0 * np.pi
 DETERMINED = 1e-9  # of the largest singular value of the slopes by the pose
 
 
@@ -113,7 +114,7 @@ def find_frames(
     unstated, wide = {name: one.unstated for name, one in instruments.items()}, list_unstated(instruments)
     zero = {name: settle_unstated(one) for name, one in instruments.items()}
     placed = place(machine, zero)
-    assert isinstance(placed, Placed)
+    assert isinstance(placed, InstrumentedMachine)
     for symbol in wide:
         if isinstance(config.parameters.get(symbol), FixedConfig):
             raise InputError(f"parameters.{symbol}: found it fixed, expected its value in [instruments]")
@@ -158,7 +159,7 @@ def settle_unstated(instrument: Instrument) -> Instrument:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _InstrumentFit:
     """What was found of one instrument with D' parameters: values, which are free, and how well they fit.
 
     ``rms`` and ``before`` are in mm, or rad of an instrument that reads angles alone, of the readings at the found and
@@ -180,7 +181,7 @@ class _Fit:
 
 
 def _key(symbol: str, model: FunctionModel) -> str:
-    """Return the key of a built-in instrument's section that states a symbol; of a class of one's own the symbol."""
+    """Return the key of a built-in instrument's section that states a symbol; of a user-defined class the symbol."""
     unit = model.layout.block(symbol).unit
     known = getattr(type(model.machine), "Config", None)
     key = f"{symbol.removesuffix('_r')}_{'deg' if unit == 'rad' else unit}"
@@ -197,7 +198,7 @@ def _format(values: Array, model: FunctionModel, symbol: str) -> str:
 class _Search:
     """Where the tool is by the machine's own channels, and what instruments read of it."""
 
-    placed: Placed
+    placed: InstrumentedMachine
     theta: Array  # (D,): all as expected
     sd: Array  # (D,): prior standard deviations; zero of what is not free
     tool: Array  # (R, 6): position and rotation vector
@@ -209,14 +210,14 @@ class _Search:
     def prepare(
         cls,
         config: StudyConfig,
-        placed: Placed,
+        placed: InstrumentedMachine,
         readings: PoseReadings,
         deviations: Array,
         symbols: Collection[str],
     ) -> _Search | None:
         """Return where the tool is; None where the machine's own channels do not tell it in at least three rows."""
         machine, n = placed.whole, len(placed.whole.channels)
-        section = config.variants[0].model_copy(update={"free": None, "fixed": [], "common": []})
+        section = config.variants[0].model_copy(update={"free": None, "fixed": [], "tied": []})
         priors, fixed, _ = choose_priors(config, section, placed.layout, {*symbols, *placed.layout.symbols})
         names, theta, moved = place_free(placed.layout, priors, fixed, {})
         sd = np.array([priors[name].sd for name in names]) @ moved if names else np.zeros(len(theta))
@@ -251,7 +252,7 @@ class _Search:
         """Return where the parameters of an instrument begin."""
         return self.placed.whole.layout.size + sum(one.layout.size for one in self.placed.instruments[:k])
 
-    def fit(self, k: int, model: FunctionModel, unstated: Collection[str]) -> _Fit | None:
+    def fit(self, k: int, model: FunctionModel, unstated: Collection[str]) -> _InstrumentFit | None:
         """Return what is found of an instrument; None where nothing is free, or nothing was read."""
         first = sum(len(one.channels) for one in self.placed.instruments[:k])
         seen, noise = (one[:, first : first + len(model.channels)] for one in (self.seen, self.noise))
@@ -298,7 +299,7 @@ def _locate(
     posterior: CalibrationPosterior = Posterior(
         likelihood,
         {name: one for name, one in priors.items() if name in names},
-        Errors(),
+        ErrorModel(),
         {name: value for name, value in fixed.items() if name in names},
     )
     pose = search_starts(posterior, workspace, config.seed)
@@ -315,7 +316,7 @@ def _locate(
     return _Located(pose, data.given, (slope[0], by_parameters[0]))
 
 
-def _spread(placed: Placed, theta: Array, sd: Array, located: _Located) -> tuple[float, float]:
+def _spread(placed: InstrumentedMachine, theta: Array, sd: Array, located: _Located) -> tuple[float, float]:
     """Return by how much tolerances (D,) move and turn the tool where the own channels read what they read, rms."""
     there = np.isfinite(located.pose).all(axis=1)
     pose, (slope, by_parameters) = located.pose[there], (one[there] for one in located.slopes)
@@ -370,10 +371,10 @@ class _Problem:
         there = np.maximum(np.isfinite(self.seen).sum(axis=1), 1)
         return float(np.median(np.sqrt((self.miss(x) ** 2).sum(axis=1) / there)))
 
-    def solve(self) -> _Fit:
+    def solve(self) -> _InstrumentFit:
         """Return the best of all proposals, fitted; InputError where it fits badly, or contradicts what is stated."""
         start = self.stated[self.free]
-        found = self._search(start)
+        found = self._shorten(self._search(start))
         fits, name = self.rms(found), f"instruments.{self.model.name}"
         self._check_hand(name, fits)
         # as many sd as the readings of one row are off by when all deviate alike, as tolerances make them
@@ -388,7 +389,7 @@ class _Problem:
             self._check_stated(name, start, found, share, known)
         step = np.linalg.lstsq(self.slope(start).reshape(-1, len(start)), -self.miss(start).ravel(), rcond=1e-9)[0]
         is_far = bool(known.any() and self.rms(start + step) > A_STEP * max(fits, 1.0))
-        return _Fit(self.model, self._whole(found), self.free, is_far)
+        return _InstrumentFit(self.model, self._whole(found), self.free, is_far)
 
     def _search(self, start: Array) -> Array:
         """Return the values (F,) of the best fit from all proposals."""
@@ -407,6 +408,28 @@ class _Problem:
             starts.append(values[self.free] if np.isfinite(values).all() else start)
         best = sorted(starts, key=self.rms)[:POLISHED]
         return min((self._polish(one) for one in best), key=self.rms)
+
+    def _shorten(self, x: Array) -> Array:
+        """Return values (F,) whose angles and rotation vectors are the shortest that say the same.
+
+        Of what is stated they are those nearest to it. Three angles are a rotation vector where every reading says so.
+        """
+        whole, expected = self._whole(x), self.miss(x)
+        near = np.where(self.lost, 0.0, self.stated)
+        for places in self.model.layout.index.values():
+            if self.model.layout.units[places[0]] != "rad" or not self.free[places].all():
+                continue
+            vector, size = whole[places], float(np.linalg.norm(whole[places]))
+            turns = vector[:, None] - TURN * np.round((vector - near[places]) / TURN)[:, None]
+            if len(places) == 3 and size > 0.0:  # a turn more or less about the same axis
+                turns = np.hstack([vector[:, None] * (1.0 + TURN / size * np.arange(-2, 3)), turns])
+            for one in sorted(turns.T, key=lambda way: float(np.linalg.norm(way - near[places]))):
+                other = whole.copy()
+                other[places] = one
+                if np.allclose(self.miss(other[self.free]), expected, rtol=1e-6, atol=1e-6 * (1.0 + self.rms(x))):
+                    whole = other
+                    break
+        return np.asarray(whole[self.free])
 
     def _polish(self, start: Array) -> Array:
         from scipy.optimize import least_squares  # a tenth of a second to import, for those with instruments

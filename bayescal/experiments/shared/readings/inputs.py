@@ -11,14 +11,12 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.measurements import Measurements, RowPositions
-from bayescal.density.calibration.terms import Errors, ErrorTerm
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError, name_faults
-from bayescal.experiments.shared.outlook import join_outlooks, tell_outlook
-from bayescal.experiments.shared.reach import check_reach
-from bayescal.experiments.shared.readings.beside import Beside, read_beside
+from bayescal.experiments.shared.outlook import describe_determinacy, join_outlooks
 from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
 from bayescal.experiments.shared.readings.errors import (
     build_terms,
@@ -27,17 +25,19 @@ from bayescal.experiments.shared.readings.errors import (
     measure_ranges,
 )
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
+from bayescal.experiments.shared.readings.instrument_poses import SeenLegs, look
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, widen
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
-from bayescal.experiments.shared.readings.seen_legs import SeenLegs, look
+from bayescal.experiments.shared.readings.reference_values import ReferenceValues, read_beside
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
 from bayescal.experiments.shared.requirements import is_aligned, read_requirements
 from bayescal.experiments.shared.search_memory import check_readings
-from bayescal.experiments.shared.slip_rows import Readings
+from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
-from bayescal.machines.readings import ReadingModel, legs_of, place
+from bayescal.experiments.shared.unreachable_rows import check_reach
+from bayescal.machines.readings import ReadingModel, as_legs, place
 from bayescal.numerics.geometry import Array
 
 FEWEST_ROWS = 3  # fewer may be alike on purpose
@@ -53,7 +53,7 @@ class Variant:
     priors: Mapping[str, Prior]
     fixed: Mapping[str, float]
     common: Mapping[str, tuple[str, ...]]
-    errors: Errors
+    errors: ErrorModel
     data: Measurements  # of all poses that it takes in, without the readings of other channels
     verification: np.ndarray  # (P,)
     start: Array  # (P, q): where the machine as expected explains the readings best
@@ -95,11 +95,11 @@ class Variant:
         posterior = self.posterior(which)
         return replace(posterior, likelihood=posterior.likelihood.plain)
 
-    def list_readings(self, which: np.ndarray | None = None) -> Readings:
+    def list_readings(self, which: np.ndarray | None = None) -> VariantReadings:
         """Return the same for slips to be looked for in."""
-        return Readings(self.plain(which), self.workspace.low, self.workspace.high, self.internal)
+        return VariantReadings(self.plain(which), self.workspace.low, self.workspace.high, self.internal)
 
-    def tell_outlook(self) -> str:
+    def describe_determinacy(self) -> str:
         """Return in a line what its readings can determine, to first order about the nominal machine."""
         posterior = self.plain()
         data, q, m = posterior.likelihood.data, len(self.model.coordinates), posterior.n_geometry
@@ -109,7 +109,7 @@ class Variant:
             _, slope, by_parameters = posterior.likelihood.rows(*posterior.around(y), white, at.pose)
         rows = np.nan_to_num(project_out(np.nan_to_num(slope)) @ by_parameters)
         counted = f"{int(data.present.sum())} readings in {data.n_poses} rows for {m} + {q * data.n_poses} unknowns"
-        return tell_outlook(f"{counted} of machine and poses", rows, posterior.sampling.names)
+        return describe_determinacy(f"{counted} of machine and poses", rows, posterior.sampling.names)
 
     @property
     def internal(self) -> np.ndarray:
@@ -124,7 +124,7 @@ class ReadingInputs:
     config: StudyConfig
     machine: str  # its name
     variants: dict[str, Variant]
-    beside: list[Beside]
+    beside: list[ReferenceValues]
     files: dict[str, bytes]  # those that the machines are read from, by names in one folder
     machine_folder: str  # where in that folder the config's own one is
     unused: str = ""  # which columns of the tables no variant takes in, in a line; empty where it takes in all
@@ -175,7 +175,7 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
             known = () if seen is None else seen.list_terms(models[one.name])
             read = readings, deviations, folder, symbols, known, found.begin
             variants[one.name] = _build(config, one, models[one.name], *read)
-    beside = [read_beside(one, folder, model) for one in config.beside]
+    beside = [read_beside(one, folder, model) for one in config.reference_values]
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
@@ -240,7 +240,7 @@ def _build(
         priors,
         fixed,
         common,
-        Errors(noise, section.outliers),
+        ErrorModel(noise, section.outliers),
         data,
         readings.verification[rows],
         np.zeros((data.n_poses, len(model.coordinates))),
@@ -290,7 +290,7 @@ def _expect_readings(variant: Variant) -> Array:
     posterior, given = variant.posterior(), variant.data.given
     with np.errstate(all="ignore"):
         try:
-            y = posterior.approach()[None]
+            y = posterior.least_squares_start()[None]
         except NumericalError:  # no start: the machine as expected
             return variant.model.read(posterior.first_machine, variant.start, given)
         theta, errors, zeta = posterior.at(y)
@@ -300,16 +300,18 @@ def _expect_readings(variant: Variant) -> Array:
 
 def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseReadings) -> np.ndarray:
     """Return which poses a variant takes in; InputError where one lacks what the machine has to know of it."""
-    for name in section.poses_with:
+    for name in section.require_columns:
         if name not in readings.given:
-            raise InputError(f"poses_with: found {name!r}, expected one of {', '.join(readings.given) or 'none'}")
+            raise InputError(f"require_columns: found {name!r}, expected one of {', '.join(readings.given) or 'none'}")
     known = {name: np.isfinite(value) for name, value in readings.given.items()}
     rows = np.ones(len(readings.poses), dtype=bool)
-    for name in section.poses_with:
+    for name in section.require_columns:
         rows &= known[name]
     for name in model.given:
         for k in np.flatnonzero(rows & ~known[name])[:1]:
-            raise InputError(f"pose {readings.poses[k]!r}: found no {name}, expected it, or poses_with = [{name!r}]")
+            raise InputError(
+                f"pose {readings.poses[k]!r}: found no {name}, expected it, or require_columns = [{name!r}]"
+            )
     return rows
 
 
@@ -317,7 +319,7 @@ def _check_machine(variant: Variant) -> None:
     """Raise InputError where the priors' centres and what is fixed are no machine's parameters."""
     start = variant.posterior().sampling.start
     variant.model.layout.check(start)
-    if (legs := legs_of(variant.whole)) is None:
+    if (legs := as_legs(variant.whole)) is None:
         return
     with np.errstate(all="ignore"):
         there = legs.read(start[: legs.layout.size], legs.home_pose[None])[:, legs.select(legs.commanded)]
@@ -336,17 +338,23 @@ def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingM
     """Raise InputError for commanded channels (P, K of the whole machine) that cannot say where a machine stands."""
     for k in np.flatnonzero(commanded.any(axis=0)):
         if (name := whole.names[k]) not in whole.commanded:
-            raise InputError(f"data.commanded: found {name!r}, expected some of {', '.join(whole.commanded) or 'none'}")
+            raise InputError(
+                f"data.commanded_channels: found {name!r}, expected some of {', '.join(whole.commanded) or 'none'}"
+            )
         if name not in model.names:
-            raise InputError(f"data.commanded: found {name!r}, which is not among the sensors, expected it there")
+            raise InputError(
+                f"data.commanded_channels: found {name!r}, which is not among the sensors, expected it there"
+            )
     q = len(model.coordinates)
     for row in np.unique(commanded[commanded.any(axis=1)], axis=0):
         units = [whole.channels[k].unit for k in np.flatnonzero(row)]
         if len(units) < q:
-            raise InputError(f"data.commanded: found {len(units)} channels, expected at least {q}, one per coordinate")
+            raise InputError(
+                f"data.commanded_channels: found {len(units)} channels, expected at least {q}, one per coordinate"
+            )
         if len(units) > q and len(set(units)) > 1:
             raise InputError(
-                f"data.commanded: found {' and '.join(dict.fromkeys(units))}, expected one unit where "
+                f"data.commanded_channels: found {' and '.join(dict.fromkeys(units))}, expected one unit where "
                 f"{len(units)} channels command {q} coordinates"
             )
 

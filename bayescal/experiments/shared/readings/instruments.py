@@ -27,12 +27,12 @@ def read_instruments(sections: Mapping[str, InstrumentConfig], folder: Path) -> 
     for one, section in sections.items():
         field = f"instruments.{one}"
         choice = choose("INSTRUMENTS", section.kind, Instrument, f"{field}.kind", folder, section.options)  # type: ignore[type-abstract]
-        with name_failures(choice.found, field, folder):
+        with name_failures(choice.found, field):
             instruments[one] = choice.found(choice.options)
     return instruments
 
 
-class Placed(Protocol):
+class HasInstruments(Protocol):
     """A config of a machine by its channels."""
 
     @property
@@ -48,7 +48,7 @@ class Placed(Protocol):
         """Nominal deformation of the platform of a machine on legs."""
 
 
-class Seen(Protocol):
+class HasModel(Protocol):
     """A variant that may name how a machine on legs is seen."""
 
     @property
@@ -61,7 +61,7 @@ class Seen(Protocol):
 
 
 def read_model(
-    config: Placed, variant: Seen, path: Path, folder: Path, matrix: Callable[[], Array] | None = None
+    config: HasInstruments, variant: HasModel, path: Path, folder: Path, matrix: Callable[[], Array] | None = None
 ) -> ReadingModel:
     """Return the machine of a file; a mechanism by the channels of its legs, as a variant sees them.
 
@@ -85,7 +85,7 @@ def read_model(
 
 
 def _list_seen(config: StudyConfig, folder: Path) -> list[Path]:
-    """Return what machines are seen by besides their files: K, and classes of one's own, instruments' among them."""
+    """Return what machines are seen by besides their files: K, and user-defined classes, instruments' among them."""
     seen = [one for one in config.variants if one.model is not None]
     files = [
         folder / file
@@ -119,9 +119,9 @@ def leave_instruments(
         return config, variant
     own = {*machine.layout.symbols, *machine.layout.names, *machine.names, *(one.kind for one in machine.channels)}
     kept = {name: {k: v for k, v in getattr(config, name).items() if k in own} for name in ("sensors", "parameters")}
-    common = [one for one in variant.common if own.issuperset([one] if isinstance(one, str) else one)]
+    common = [one for one in variant.tied if own.issuperset([one] if isinstance(one, str) else one)]
     free = None if variant.free is None else [one for one in variant.free if one in own]
     return (
         config.model_copy(update={"instruments": {}, **kept}),
-        variant.model_copy(update={"free": free, "common": common}),
+        variant.model_copy(update={"free": free, "tied": common}),
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pandas as pd
@@ -12,13 +12,14 @@ import pandas as pd
 from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.shared.readings.inputs import Variant
-from bayescal.experiments.shared.readings.schema import NextConfig
+from bayescal.experiments.shared.readings.schema import NextReadingsConfig
+from bayescal.experiments.shared.rows import CandidatePoseRow, CombinationRow, ToolUncertaintyRow
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.identifiability.directions import find_directions, judge_parameters
 from bayescal.identifiability.information import Information, information_of_rows, marginalise
 from bayescal.identifiability.reading_rows import (
-    Slopes,
-    View,
+    Jacobians,
+    LinearisedPoses,
     differentiate_poses,
     name_tool,
     see,
@@ -26,7 +27,7 @@ from bayescal.identifiability.reading_rows import (
     typical_given,
     whiten,
 )
-from bayescal.identifiability.requirements import ErrorsInUse, Forecast, forecast_tool
+from bayescal.identifiability.requirements import ErrorsInUse, WorkspaceErrorModel, forecast_tool
 from bayescal.identifiability.ridges import describe_ridges
 from bayescal.machines.readings import Given
 from bayescal.numerics.geometry import Array
@@ -35,32 +36,24 @@ from bayescal.pose_selection.next_pose import compute_gains
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
-    """What a variant's readings tell."""
+class IdentifiabilityResult:
+    """What a variant's readings determine."""
 
     verdicts: tuple[str, ...]  # on each parameter of the machine
-    ridges: list[tuple[str, float, str]]  # a parameter, the contraction, and a sentence
-    coordinates: tuple[str, ...]  # with units: what has to be accurate, m of them
-    units: tuple[str, ...]
-    # with after and noise, (m,): root mean square error over the workspace by what is unknown of the parameters
-    # beforehand, by what is unknown of them and of systematic errors now, and by the noise of one pose's own
-    # readings; NaN where the machine's own sensors do not tell it
-    before: Array
-    after: Array
-    noise: Array
-    # with worst_pose, (m,) and (m, q): the largest standard uncertainty over the workspace by what is unknown of both
-    # now, and where
-    worst: Array
-    worst_pose: Array
-    # (m,): the same as after and worst where base and tool are not aligned
-    unaligned: Array
-    worst_unaligned: Array
-    next_pose: Array  # (c, q): poses to measure next, the best first for each set of sensors
-    next_sensors: tuple[str, ...]  # ``own`` or ``all``, of each
-    next_gain: Array  # (c,): by what part the mean squared error over the workspace would fall
+    accuracy: list[ToolUncertaintyRow]  # of each coordinate of the tool
+    combinations: list[CombinationRow]  # of parameters that are determined too little
+    candidates: list[CandidatePoseRow]  # for the next measurement, the best first for each set of sensors
+
+    def tabulate(self) -> dict[str, pd.DataFrame]:
+        """Return all rows as tables by name."""
+        return {
+            ToolUncertaintyRow.table: ToolUncertaintyRow.collect(self.accuracy),
+            CombinationRow.table: CombinationRow.collect(self.combinations),
+            CandidatePoseRow.table: CandidatePoseRow.collect(self.candidates),
+        }
 
 
-class Asked(Protocol):
+class HasUnitsAndWorkspace(Protocol):
     """What of a config says how what is known is told: the config of a calibration, or of its audit."""
 
     @property
@@ -72,15 +65,17 @@ class Asked(Protocol):
         """Units of the sentences."""
 
     @property
-    def next(self) -> NextConfig:
+    def next(self) -> NextReadingsConfig:
         """How many poses are tried, how many shown."""
 
 
-Learnt = Callable[[View], tuple[Forecast, Array]]
+Learnt = Callable[[LinearisedPoses], tuple[WorkspaceErrorModel, Array]]
 """From poses of the workspace to how the tool errs there, and the covariance of what it errs by."""
 
 
-def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: Array, learn: Learnt) -> Knowledge:
+def compute_tool_uncertainty(
+    asked: HasUnitsAndWorkspace, variant: Variant, posterior: CalibrationPosterior, y: Array, learn: Learnt
+) -> IdentifiabilityResult:
     """Return what the readings of a variant tell, to first order about one machine.
 
     Parameters
@@ -92,15 +87,16 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
         systematic errors.
     """
     rng, m = np.random.default_rng([asked.seed, 5]), posterior.n_geometry
-    at = look_around(variant, posterior, y, rng)
+    at = linearise_workspace(variant, posterior, y, rng)
     forecast, covariance = learn(at)
     unaligned, _ = learn(at.unalign())
     names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
     candidates, geometry = variant.workspace.draw(asked.next.candidates, rng), covariance[:m, :m]
+    sets: list[tuple[Literal["own", "all"], np.ndarray]] = [("own", variant.internal), ("all", every)]
     tried = [
-        (label, *_rank(posterior, variant, y, candidates, at, geometry, some, asked.next.shown))
-        for label, some in (("own", variant.internal), ("all", every))
+        (label, *_rank(posterior, variant, y, candidates, at, geometry, some, asked.next.n_listed))
+        for label, some in sets
         if label == "own" or (some != variant.internal).any()
     ]
     before, after, noise, base = (
@@ -112,32 +108,51 @@ def assess(asked: Asked, variant: Variant, posterior: CalibrationPosterior, y: A
             unaligned.covariance(covariance),
         )
     )
-    verdicts, ridges = _judge(asked.units, posterior, y)
-    return Knowledge(
-        verdicts,
-        ridges,
-        names,
-        units,
-        np.sqrt(np.mean(before**2, axis=0)),
-        np.sqrt(np.mean(after**2, axis=0)),
-        np.sqrt(np.mean(noise**2, axis=0)),
-        after.max(axis=0),
-        at.pose[after.argmax(axis=0)],
-        np.sqrt(np.mean(base**2, axis=0)),
-        base.max(axis=0),
-        np.concatenate([pose for _, pose, _ in tried]),
-        tuple(label for label, pose, _ in tried for _ in pose),
-        np.concatenate([gain for *_, gain in tried]),
-    )
+    verdicts, combinations = _judge(asked.units, posterior, y)
+    rms = [np.sqrt(np.mean(one**2, axis=0)) for one in (before, after, noise, base)]
+    accuracy = [
+        ToolUncertaintyRow(
+            variant=variant.name,
+            coordinate=name,
+            unit=units[k],
+            prior_sd=float(rms[0][k]),
+            posterior_sd=float(rms[1][k]),
+            noise=float(rms[2][k]),
+            max_sd=float(after[:, k].max()),
+            max_sd_pose=name_place(variant, at.pose[after[:, k].argmax()], asked.units),
+            frame="aligned" if variant.aligned else "base",
+            unaligned_sd=float(rms[3][k]),
+            max_unaligned_sd=float(base[:, k].max()),
+        )
+        for k, name in enumerate(names)
+    ]
+    places = [f"{one.name}_{one.unit}" for one in variant.model.coordinates]
+    found = [
+        CandidatePoseRow(
+            variant=variant.name,
+            sensors=label,
+            variance_reduction=float(gain),
+            others=dict(zip(places, pose.tolist(), strict=True)),
+        )
+        for label, poses, gains in tried
+        for pose, gain in zip(poses, gains, strict=True)
+    ]
+    ridges = [
+        CombinationRow(variant=variant.name, parameter=name, contraction=share, text=text)
+        for name, share, text in combinations
+    ]
+    return IdentifiabilityResult(verdicts, accuracy, ridges, found)
 
 
-def foresee(variant: Variant, posterior: CalibrationPosterior, y: Array, at: View, errors: ErrorsInUse) -> Forecast:
+def predict_tool_errors(
+    variant: Variant, posterior: CalibrationPosterior, y: Array, at: LinearisedPoses, errors: ErrorsInUse
+) -> WorkspaceErrorModel:
     """Return how the tool of a machine (n,) errs at poses, located by its own sensors, when these err as in use."""
     located = at.located @ whiten(typical_covariance(posterior, y), variant.internal)
     return _mask(forecast_tool(at.whole, located, errors, at.alignment), at)
 
 
-def _mask(found: Forecast, at: View) -> Forecast:
+def _mask(found: WorkspaceErrorModel, at: LinearisedPoses) -> WorkspaceErrorModel:
     """Return a forecast whose noise is unknown where the machine's own sensors do not determine the tool."""
     return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
 
@@ -148,14 +163,16 @@ def learn_posterior(variant: Variant, machine: MachineInUse) -> Learnt:
     Systematic errors that were found are known together with the geometry; what is left of errors is noise.
     """
 
-    def learn(at: View) -> tuple[Forecast, Array]:
+    def learn(at: LinearisedPoses) -> tuple[WorkspaceErrorModel, Array]:
         given = typical_given(variant.data.given, len(at.pose))
-        return _mask(machine.foresee(at, variant.internal, given), at), machine.covariance
+        return _mask(machine.predict_tool_errors(at, variant.internal, given), at), machine.covariance
 
     return learn
 
 
-def look_around(variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator) -> View:
+def linearise_workspace(
+    variant: Variant, posterior: CalibrationPosterior, y: Array, rng: np.random.Generator
+) -> LinearisedPoses:
     """Return random poses of the workspace seen by the machine's own sensors."""
     return look(posterior, variant, y, variant.region.draw(variant.region.n_poses, rng), variant.internal)
 
@@ -167,15 +184,15 @@ def look(
     pose: Array,
     some: np.ndarray,
     given: Given | None = None,
-) -> View:
+) -> LinearisedPoses:
     """Return poses (W, q) seen by the channels of a mask (K,), with the noise stated for the first reading of each."""
-    return differentiate(posterior, variant, y, pose, given).seen_by(some)
+    return differentiate(posterior, variant, y, pose, given).select_channels(some)
 
 
 def differentiate(
     posterior: CalibrationPosterior, variant: Variant, y: Array, pose: Array, given: Given | None = None
-) -> Slopes:
-    """Return what moves readings and tool at poses (W, q) of one machine, of which any channels make a `View`.
+) -> Jacobians:
+    """Return the Jacobians at poses (W, q) of one machine, of which any channels make `LinearisedPoses`.
 
     What the machine has to know of each pose is the median of the data's where nothing is given.
     """
@@ -188,7 +205,7 @@ def _rank(
     variant: Variant,
     y: Array,
     candidates: Array,
-    at: View,
+    at: LinearisedPoses,
     covariance: Array,
     some: np.ndarray,
     shown: int,
@@ -203,7 +220,7 @@ def _rank(
     return tried.pose[best], gain[best]
 
 
-def weigh(variant: Variant, at: View) -> Array:
+def weigh(variant: Variant, at: LinearisedPoses) -> Array:
     """Return W (m, m) such that tr(W C) is the sum over poses of the tool's squared error, of lengths if it has any."""
     units = [one.unit for one in variant.model.tool_channels]
     lengths = at.tool[:, [unit == ("mm" if "mm" in units else units[0]) for unit in units]]
@@ -252,25 +269,6 @@ def name_data(variant: Variant) -> str:
     return f"{' '.join(kinds)}, {variant.data.n_poses} poses, {int(variant.data.present.sum())} readings"
 
 
-def tabulate_accuracy(variant: Variant, known: Knowledge, units: UnitsConfig) -> pd.DataFrame:
-    """Return the standard uncertainty of a variant's tool, a coordinate a row; places in the config's units."""
-    return pd.DataFrame(
-        {
-            "variant": variant.name,
-            "coordinate": known.coordinates,
-            "unit": known.units,
-            "before": known.before,
-            "after": known.after,
-            "noise": known.noise,
-            "worst": known.worst,
-            "worst_at": [name_place(variant, pose, units) for pose in known.worst_pose],
-            "frame": "aligned" if variant.aligned else "base",
-            "unaligned": known.unaligned,
-            "worst_unaligned": known.worst_unaligned,
-        }
-    )
-
-
 def name_place(variant: Variant, pose: Array, asked: UnitsConfig) -> str:
     """Return where a pose is, coordinate by coordinate, in the units of a config."""
     units = Units(asked.length, asked.angle)
@@ -278,19 +276,6 @@ def name_place(variant: Variant, pose: Array, asked: UnitsConfig) -> str:
         f"{one.name} = {value / units.factor(one.unit):.4g} {units.name(one.unit)}"
         for one, value in zip(variant.model.coordinates, pose, strict=True)
     )
-
-
-def list_ridges(variant: Variant, known: Knowledge) -> Iterator[dict[str, Any]]:
-    """Return the combinations that a variant does not tell."""
-    for name, share, text in known.ridges:
-        yield {"variant": variant.name, "parameter": name, "contraction": share, "sentence": text}
-
-
-def list_next(variant: Variant, known: Knowledge) -> Iterator[dict[str, Any]]:
-    """Return where to measure next, by what part the mean squared error would fall."""
-    for pose, sensors, gain in zip(known.next_pose, known.next_sensors, known.next_gain, strict=True):
-        coordinates = {f"{c.name}_{c.unit}": pose[k] for k, c in enumerate(variant.model.coordinates)}
-        yield {"variant": variant.name, "sensors": sensors, **coordinates, "gain": gain}
 
 
 def plain(row: dict[Any, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from bayescal.config.load import read_toml
 from bayescal.config.registry import hash_modules
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError
-from bayescal.experiments.frame.experiment import Experiment
+from bayescal.experiments.runner.experiment import Experiment
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import find_machine_classes, list_machine_sources, load_mechanism, read_reading_model
 

@@ -19,8 +19,8 @@ from bayescal.data.instruments.read_points import (
     read_probe,
     read_stations,
 )
-from bayescal.data.instruments.read_poses import PoseNoise, Taken, check_pose_table, read_poses
-from bayescal.data.instruments.readings import Tracked, TrackedPoints, turn_of
+from bayescal.data.instruments.read_poses import PoseNoise, PoseRecords, check_pose_table, read_poses
+from bayescal.data.instruments.readings import TrackedPoints, TrackedReadings, turn_of
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
 from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, check_target_columns, read_reference, read_survey
@@ -49,7 +49,7 @@ from bayescal.numerics.units import MICROMETRE, Units
 class Measured:
     """What an instrument measured of a platform on legs, as readings of the legs' channels and of its own."""
 
-    readings: PoseReadings  # of actuators, then of poses; of a tracker's channels in place of these where there is one
+    readings: PoseReadings  # of actuators, then of poses; of a tracker's channels instead of these where there is one
     # poses of the platform as measured, all frames as they should be; NaN where a coordinate is not
     poses: MeasuredPoses
     described: dict[str, Any]  # entries of the summary that say what was measured
@@ -57,7 +57,7 @@ class Measured:
     tracker: Tracker | None = None
     # what is known of its frames, in the units of a config
     parameters: dict[str, PriorConfig] = field(default_factory=dict)
-    tracked: Tracked | None = None  # what it tracked, but for targets
+    tracked: TrackedReadings | None = None  # what it tracked, but for targets
     targets: TargetMeasurement | None = None  # the photogrammetry
 
     @property
@@ -167,7 +167,7 @@ def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) ->
     if isinstance(data, TargetDataConfig):
         return _read_targets(data, folder, mechanism)
     actuators = None if data.actuators is None else folder / data.actuators
-    tracked: Tracked
+    tracked: TrackedReadings
     if isinstance(data, PoseDataConfig):
         noise = PoseNoise(data.position_um, data.arcseconds)
         tracked, taken = read_poses(folder / data.poses, actuators, noise, mechanism.n_legs)
@@ -176,7 +176,7 @@ def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) ->
     with name_faults(name_data(data, folder)):
         check_repeated(tracked.names, tracked.values, taken.verification)
     free = [name for name in ("base", "tool") if getattr(config.frames, name) is not None]
-    described = {"instrument": {"measurement": data.measurement, "free_frames": free, **tracked.describe()}}
+    described = {"instrument": {"instrument": data.instrument, "free_frames": free, **tracked.describe()}}
     if not free and tracked.is_whole():
         return Measured(_read_whole(tracked.poses, taken.verification), tracked.poses, described, tracked=tracked)
     seen = tracked.see()
@@ -198,10 +198,10 @@ def _read_targets(data: TargetDataConfig, folder: Path, mechanism: Mechanism) ->
     with name_faults(folder / data.targets):
         check_exchanged(survey, noise)
         check_repeated(survey.poses, survey.platform.measured, survey.verification)
-        extraction = extract_poses(survey, noise, data.pose_method)
+        extraction = extract_poses(survey, noise, data.pose_estimator)
     described = {
         "pose_extraction": {
-            "method": data.pose_method,
+            "method": data.pose_estimator,
             "chi2_per_dof": extraction.chi2_per_dof,
             "dof": extraction.dof,
             "n_targets": extraction.n_targets,
@@ -213,7 +213,7 @@ def _read_targets(data: TargetDataConfig, folder: Path, mechanism: Mechanism) ->
     return Measured(readings, extraction.poses, described, targets=targets)
 
 
-def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[TrackedPoints, Taken]:
+def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[TrackedPoints, PoseRecords]:
     stations = None if data.stations is None else folder / data.stations
     each = data.point_um
     noise = PointNoise(
@@ -261,13 +261,13 @@ def _list_checks(
             yield lambda: _check_actuators(tables["actuators"], legs, machine)
         if "reference" in tables:
             yield lambda: read_reference(tables["reference"], legs)
-        if data.get("measurement") == "poses" and "poses" in tables:
+        if data.get("instrument") == "poses" and "poses" in tables:
             stated = (any(key.startswith(begin) for key in data) for begin in ("position_", "orientation_"))
             noise = PoseNoise(*(1.0 if one else None for one in stated))  # whatever its size: the config answers for it
             yield lambda: check_pose_table(tables["poses"], noise, name_actuators(legs))
-    if data.get("measurement", "targets") == "targets" and "targets" in tables:
+    if data.get("instrument", "targets") == "targets" and "targets" in tables:
         yield lambda: check_target_columns(tables["targets"])
-    if data.get("measurement") == "points" and "points" in tables:
+    if data.get("instrument") == "points" and "points" in tables:
         yield lambda: check_point_columns(tables["points"], "stations" in tables)
     if "probe" in tables:
         yield lambda: read_probe(tables["probe"])

@@ -61,15 +61,17 @@ def build_noise(
 ) -> tuple[ErrorTerm, ...]:
     """Return what of the noise of the chosen channels is unknown; InputError for a group that no channel belongs to."""
     groups = group_channels(config, model)
-    for table, stated in (("unknown_noise", config.unknown_noise), ("model_error", config.channel_errors)):
+    for table, stated in (("noise_factor_log_sd", config.noise_factor_log_sd), ("model_error", config.channel_errors)):
         for name in stated:
             if name not in groups:
                 known = ", ".join(dict.fromkeys(filter(None, groups)))
                 raise InputError(f"{table}: found {name!r}, expected a group of channels: {known}")
-    if section.noise != "unknown":
+    if section.noise_known:
         return ()
     members = {name: np.array([groups[k] == name for k in chosen]) for name in groups}
-    factors = [NoiseFactor(name, members[name], sd) for name, sd in config.unknown_noise.items() if members[name].any()]
+    factors = [
+        NoiseFactor(name, members[name], sd) for name, sd in config.noise_factor_log_sd.items() if members[name].any()
+    ]
     errors = []
     for name, one in config.channel_errors.items():
         units = {c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}
@@ -85,5 +87,5 @@ def group_channels(config: StudyConfig, model: ReadingModel) -> list[str]:
     result = []
     for channel in model.channels:
         section = config.sensors.get(channel.name, config.sensors.get(channel.kind))
-        result.append("" if section is None else section.group or channel.kind)
+        result.append("" if section is None else section.noise_group or channel.kind)
     return result

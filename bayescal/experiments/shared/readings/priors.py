@@ -1,4 +1,4 @@
-"""What is known of a machine's parameters beforehand, by symbol."""
+"""Priors of a machine's parameters, by symbol."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayescal.numerics.units import Units
 type Chosen = tuple[dict[str, Prior], dict[str, float], dict[str, tuple[str, ...]]]
 
 
-class Tolerated(Protocol):
+class HasPriors(Protocol):
     """A config that states tolerances."""
 
     @property
@@ -32,7 +32,7 @@ class Tolerated(Protocol):
 
 
 def choose_priors(
-    config: Tolerated, choice: FreeConfig, layout: ParameterLayout, others: Collection[str] = ()
+    config: HasPriors, choice: FreeConfig, layout: ParameterLayout, others: Collection[str] = ()
 ) -> Chosen:
     """Return the priors of the free parameters, the values of fixed ones, and what deviates alike.
 
@@ -71,7 +71,7 @@ def choose_priors(
         else:
             priors |= {name: one for name, one in _priors_of(block, prior, factor).items() if name in free}
     check_ranges(priors, layout)
-    common = _list_common(choice.common, priors, layout)
+    common = _list_common(choice.tied, priors, layout)
     return _join(priors, common), fixed, common
 
 
@@ -177,12 +177,12 @@ def _list_common(
     common: dict[str, tuple[str, ...]] = {}
     for entry in entries:
         names = [entry] if isinstance(entry, str) else entry
-        members = tuple(dict.fromkeys(one for name in names for one in expand(name, layout, "common")))
+        members = tuple(dict.fromkeys(one for name in names for one in expand(name, layout, "tied")))
         if len(members) < 2:
-            raise InputError(f"common: found {entry!r}, one parameter, expected at least two")
+            raise InputError(f"tied: found {entry!r}, one parameter, expected at least two")
         for name in members:
             if name not in priors:
-                raise InputError(f"common: found {name!r}, which is not free, expected free parameters")
+                raise InputError(f"tied: found {name!r}, which is not free, expected free parameters")
         common[_name(members)] = members
     return common
 
@@ -195,7 +195,7 @@ def _name(members: Sequence[str]) -> str:
 
 
 def _join(priors: Mapping[str, Prior], common: Mapping[str, tuple[str, ...]]) -> dict[str, Prior]:
-    """Return the priors with one in place of those of all that deviate alike: that of their first."""
+    """Return the priors with one instead of those of all that deviate alike: that of their first."""
     owner = {member: name for name, members in common.items() for member in members}
     joined: dict[str, Prior] = {}
     for name, prior in priors.items():

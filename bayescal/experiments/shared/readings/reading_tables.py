@@ -18,12 +18,12 @@ import numpy as np
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, read_rotation_vectors
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.schema import DataTableConfig
-from bayescal.files.csv_tables import Table, read_table
+from bayescal.experiments.shared.rows import USES
+from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, units_like
 
-USES = ("calibration", "verification")
 COVARIANCE_UNITS = {"mm": MICROMETRE, "rad": 1e-6}
 """Roots of the units of covariances, in the channels' units."""
 
@@ -116,7 +116,7 @@ def read_tables(
     return found
 
 
-def _turn(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel]) -> Table:
+def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel]) -> CsvTable:
     """Return a table whose rotations in other forms, quaternions or angles, are the rotation vectors of channels."""
     for k, channel in enumerate(channels):
         if not channel.rotation or any(one.rotation == channel.rotation for one in channels[max(k - 1, 0) : k]):
@@ -168,7 +168,9 @@ def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) 
     return f", did you mean {close[0]!r}?" if close else ""
 
 
-def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig) -> Table:
+def _check(
+    table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig
+) -> CsvTable:
     if "pose" not in table.columns:
         raise InputError(f"{table.path}: found no column 'pose', expected the poses' names")
     taken: dict[tuple[str, tuple[int, ...]], str] = {}
@@ -186,7 +188,7 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
             raise InputError(f"{table.path}: found columns {other!r} and {name!r}, expected one of them")
     read = {channels[c.places[0]].name for n in table.columns if (c := known.get(n)) and c.role == "values"}
-    for key in ("channels", "commanded"):
+    for key in ("channels", "commanded_channels"):
         for name in getattr(section, key):
             asked = [one.name for one in channels if name in (one.name, one.kind)]
             if missing := [one for one in asked or [name] if one not in read]:
@@ -194,7 +196,7 @@ def _check(table: Table, known: Mapping[str, _Column], channels: Sequence[Channe
     return table
 
 
-def pose_names(table: Table) -> list[str]:
+def pose_names(table: CsvTable) -> list[str]:
     """Return the names of a table's poses; InputError where one stands there twice."""
     names, known = table.text("pose"), dict[str, int]()
     for row, name in enumerate(names):
@@ -207,16 +209,16 @@ def pose_names(table: Table) -> list[str]:
 
 def _fill(
     found: PoseReadings,
-    table: Table,
+    table: CsvTable,
     known: Mapping[str, _Column],
     channels: Sequence[Channel],
     rows: list[int],
     section: DataTableConfig,
 ) -> None:
-    held, ignored = section.hold_back, section.ignore
+    held, ignored = section.verification_poses, section.ignore
     for name in held:
         if name not in found.poses:
-            raise InputError(f"{table.path}: hold_back: found {name!r}, expected the name of a pose")
+            raise InputError(f"{table.path}: verification_poses: found {name!r}, expected the name of a pose")
     found.verification[rows] |= np.isin(np.array(found.poses, dtype=object)[rows], list(held))
     if "use" in table.columns:
         for row, use in enumerate(table.text("use")):
@@ -249,15 +251,15 @@ def _fill(
             there = np.isfinite(values)
             into[np.array(rows)[there], k] = column.factor * values[there]
     for k, channel in enumerate(channels):
-        if {channel.name, channel.kind} & set(section.commanded):
+        if {channel.name, channel.kind} & set(section.commanded_channels):
             for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
                 where = table.where(int(row))
-                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded says")
+                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded_channels says")
             found.commanded[rows, k] = True
 
 
 def _fill_correlation(
-    found: PoseReadings, table: Table, name: str, column: _Column, values: Array, rows: list[int]
+    found: PoseReadings, table: CsvTable, name: str, column: _Column, values: Array, rows: list[int]
 ) -> None:
     assert found.correlation is not None
     j, k = column.places

@@ -12,7 +12,7 @@ from bayescal.config.sections import InputFile, Names, NotNegative, Positive, Se
 NOISE_UNITS = {"noise_um": "um", "noise_mm": "mm", "noise_arcsec": "arcsec", "noise_deg": "deg", "noise_rad": "rad"}
 
 
-class OriginConfig(Section):
+class ProvenanceConfig(Section):
     """Where the data come from: measured ones name their source and its licence."""
 
     status: Literal["measured", "simulated", "reconstructed", "unstated"]
@@ -35,8 +35,8 @@ class DataTableConfig(Section):
     """A CSV table of readings, a row a pose; rows of the same pose in several tables belong together.
 
     ``channels`` must be there, all others are optional; columns in ``ignore`` may be there and are not read; poses in
-    ``hold_back`` are kept for verification. Channels in ``commanded`` say where the machine was sent to: its poses are
-    uniformly distributed in these then, and not in its coordinates.
+    ``verification_poses`` are kept for verification. Channels in ``commanded_channels`` say where the machine was
+    sent to: its poses are uniformly distributed in these then, and not in its coordinates.
     """
 
     file: InputFile
@@ -45,9 +45,9 @@ class DataTableConfig(Section):
     """Channels, or kinds of them, that must be in the table."""
     ignore: Names = Field(default=[])
     """Columns that are not read."""
-    hold_back: Names = Field(default=[])
+    verification_poses: Names = Field(default=[])
     """Poses that are kept for verification."""
-    commanded: Names = Field(default=[], exclude_if=lambda value: not value)
+    commanded_channels: Names = Field(default=[], exclude_if=lambda value: not value)
     """Channels, or kinds of them, that the machine was commanded by: before they are measured its poses are uniformly
     distributed in these; in its coordinates where nothing is said.
     """
@@ -56,7 +56,7 @@ class DataTableConfig(Section):
 class ChannelConfig(Section):
     """Noise of a channel or of all of a kind, one value or one each; zero for a constraint.
 
-    ``group`` is under what name it shares unknown noise with others; by default its kind's.
+    ``noise_group`` is under what name it shares unknown noise with others; by default its kind's.
     """
 
     noise: NotNegative | list[NotNegative] | None = None
@@ -71,7 +71,7 @@ class ChannelConfig(Section):
     """The same."""
     noise_rad: NotNegative | list[NotNegative] | None = None
     """The same."""
-    group: str = ""
+    noise_group: str = ""
     """Under what name it shares unknown noise with others; its kind's where nothing is said."""
 
     @model_validator(mode="after")
@@ -91,23 +91,23 @@ class ModelErrorScaleConfig(Section):
 
 
 class ErrorTermConfig(OwnSection):
-    """An error of one cause that variants may have: `function`, or a class of one's own with its options beside it."""
+    """An error of one cause that variants may have: `function`, or a user-defined class with its options beside it."""
 
     kind: Annotated[str, ClassMark("ERRORS", beside=True), Field(validate_default=True)] = "function"
-    """`"function"`, or `file.py:Class` of one's own; its options stand beside it."""
+    """`"function"`, or a user-defined `file.py:Class`; its options stand beside it."""
 
 
 class InstrumentConfig(OwnSection):
     """An instrument beside the machine: channels and parameters, after its name, that any machine has more."""
 
     kind: Annotated[str, ClassMark("INSTRUMENTS", beside=True)]
-    """`"point"`, `"pose"`, `"distance"`, or `file.py:Class` of one's own; its options stand beside it."""
+    """`"point"`, `"pose"`, `"distance"`, or a user-defined `file.py:Class`; its options stand beside it."""
 
 
 class FreeConfig(Section):
     """What is free: symbols or parameters with a prior, all of them or those in ``free``, but for those in ``fixed``.
 
-    Those of an entry of ``common`` deviate alike, a symbol or a list of parameters. Sensors inside a machine tell
+    Those of an entry of ``tied`` deviate alike, a symbol or a list of parameters. Sensors inside a machine tell
     nothing of where its frames are: ``fixed`` are then the parameters that define these.
     """
 
@@ -115,7 +115,7 @@ class FreeConfig(Section):
     """Symbols or parameters that are free; all with a prior where nothing is said."""
     fixed: Names = Field(default=[], exclude_if=lambda value: not value)
     """Symbols or parameters of these that stay nominal all the same."""
-    common: list[str | Names] = Field(default=[])
+    tied: list[str | Names] = Field(default=[])
     """Symbols, or lists of parameters, that deviate alike."""
 
 
@@ -128,7 +128,7 @@ class ValidationConfig(Section):
     """Posterior draws that predict."""
 
 
-class BesideConfig(Section):
+class ReferenceValuesConfig(Section):
     """Values from elsewhere, which stay out of the fit: a CSV with ``quantity``, ``unit``, ``value``.
 
     A quantity is a parameter, or a channel that is read at home; an optional column ``sd`` says how well it is known.
@@ -142,10 +142,10 @@ class BesideConfig(Section):
     """Where they come from."""
 
 
-class NextConfig(Section):
+class NextReadingsConfig(Section):
     """What to measure next: that many random poses of the workspace are tried."""
 
     candidates: Annotated[int, Field(ge=0, le=10_000)] = 300
     """How many random poses are tried; 0 for none."""
-    shown: Annotated[int, Field(ge=1, le=50)] = 5
-    """How many of them are shown."""
+    n_listed: Annotated[int, Field(ge=1, le=50)] = 5
+    """How many of them are listed."""

@@ -29,7 +29,7 @@ MOST_TRIES = 100
 LARGEST_GRID = 81  # starts; beyond, they are drawn
 TRIED = 150
 """Rows of many that are looked for from all starts: where the middle leads as far with each, it is the start of all."""
-ALIKE, FAR = 1.01, 4.0
+SAME_RATIO, FAR = 1.01, 4.0
 """By which r² may differ from the least to be as good, and by which from the largest of the tried rows to be usual."""
 SINGULAR = 1e-10  # of the largest singular value of H in units of the workspace, below which a pose is not told
 
@@ -157,10 +157,10 @@ def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:
     """Raise InputError where bounds are missing of what the machine has to know of each pose, or of something else."""
     for name in given:
         if name not in model.given:
-            raise InputError(f"given: found {name!r}, expected some of {', '.join(model.given) or 'none'}")
+            raise InputError(f"conditions: found {name!r}, expected some of {', '.join(model.given) or 'none'}")
     for name in model.given:
         if name not in given:
-            raise InputError(f"given: found no {name}, expected its smallest and its largest value")
+            raise InputError(f"conditions: found no {name}, expected its smallest and its largest value")
 
 
 def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Generator) -> dict[str, Array]:
@@ -221,7 +221,7 @@ def search_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: i
         tried = np.sort(np.random.default_rng([seed, 5]).choice(n, TRIED, replace=False))
         _, least = search(tried, starts)
         pose, square = search(every, starts[:1])
-        usual = bool((square[tried] <= ALIKE * least + ALIKE - 1.0).all())
+        usual = bool((square[tried] <= SAME_RATIO * least + SAME_RATIO - 1.0).all())
         left = every[square > FAR * least.max()] if usual else every
     if len(left):
         pose[left], _ = search(left, starts)

@@ -9,31 +9,25 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
+from bayescal.experiments.shared.knowledge_page import AFTER, BEFORE, illustrate_predicted
+from bayescal.experiments.shared.rows import ToolUncertaintyRow
 from bayescal.experiments.study.page.results import ALL, StudyResults
-from bayescal.report.blocks import Block, Cell, Column, Figure, Section, Table, make_table
+from bayescal.experiments.study.rows import RequirementResultRow
+from bayescal.report.blocks import Block, Cell, Column, Figure, PageSection, Table, make_table
 from bayescal.report.numbers import format_percent, format_significant
-from bayescal.report.style import GREY, LEG_COLOURS, RED
-from bayescal.report.symbols import shown_in
+from bayescal.report.style import RED
 
-BEFORE, AFTER = GREY, LEG_COLOURS[4]
-HELD = (
-    "Position errors at the tool of {n} held-back poses, which the calibration has not seen: share of poses whose "
-    "error is not larger, before it (the machine as its tolerances expect it) and after it. {frame}"
-)
-PREDICTED = (
-    "Predicted standard uncertainty of the tool, rms over the workspace: before the calibration by the tolerances, "
-    "after it by what remains unknown. No poses are held back whose position an instrument saw. {frame}"
-)
-ALIGNED = "Base frames are fitted to the calibration poses, for both alike."
+HELD = "Position errors at the tool of {n} held-back poses, before and after calibration. {frame}"
+ALIGNED = "Base frames are fitted to the calibration poses."
 POSITION = "position"
 
 
-def show_before_after(study: StudyResults) -> Section | None:
+def show_before_after(study: StudyResults) -> PageSection | None:
     """Return errors at the tool before and after; None where nothing tells where it is."""
     blocks: list[Block] = []
     held = study.table("before_after", study.chosen)
     held = held[held["use"] == "verification"]
-    known = [row for row in study.rows("accuracy", study.chosen) if math.isfinite(row["after"])]
+    known = [row for row in study.rows(ToolUncertaintyRow, study.chosen) if math.isfinite(row.posterior_sd)]
     if len(held):
         frame = ALIGNED if study.aligned else ""
         caption = HELD.format(n=len(held), frame=frame).strip()
@@ -41,18 +35,17 @@ def show_before_after(study: StudyResults) -> Section | None:
         blocks.append(Figure("before_after", caption, partial(draw_held_back, held, limit)))
         blocks.append(_tabulate_held_back(held))
     elif known:
-        caption = PREDICTED.format(frame="Base and tool are aligned." if study.aligned else "").strip()
-        blocks.append(Figure("before_after", caption, partial(draw_predicted, pd.DataFrame(known))))
+        blocks.append(illustrate_predicted(known, study.aligned))
     if required := _tabulate_required(study):
         blocks.append(required)
-    return Section("Before and after", tuple(blocks)) if blocks else None
+    return PageSection("Before and after", tuple(blocks)) if blocks else None
 
 
 def _find_limit(study: StudyResults) -> float | None:
     """Return the largest position error that is allowed, mm; None where none is stated."""
-    for row in study.rows("requirements", study.chosen):
-        if row["requirement"] == POSITION:
-            return float(row["limit_inner"])
+    for row in study.rows(RequirementResultRow, study.chosen):
+        if row.requirement == POSITION:
+            return row.limit_inner
     return None
 
 
@@ -77,31 +70,6 @@ def draw_held_back(held: pd.DataFrame, limit: float | None) -> Drawing:
     return figure
 
 
-def draw_predicted(known: pd.DataFrame) -> Drawing:
-    """Return predicted uncertainties of the tool's numbers, a panel for each unit."""
-    units = list(dict.fromkeys(known["unit"]))
-    figure = Drawing(figsize=(6.4, 1.0 + 0.45 * len(known)), layout="constrained")
-    ratios = [int((known["unit"] == unit).sum()) for unit in units]
-    panels = np.atleast_1d(figure.subplots(len(units), height_ratios=ratios))
-    for axes, unit in zip(panels, units, strict=True):
-        rows = known[known["unit"] == unit]
-        factor, name = shown_in(unit, None)
-        place = np.arange(len(rows))
-        axes.hlines(place, factor * rows["before"], factor * rows["after"], color=GREY, linewidth=1.0)
-        for column, colour in (("before", BEFORE), ("after", AFTER)):
-            axes.plot(factor * rows[column], place, "o", color=colour, markersize=6, label=column)
-        axes.set_ylim(-0.6, len(rows) - 0.4)
-        axes.grid(visible=True, axis="x")
-        axes.set_yticks(place, list(rows["coordinate"]))
-        axes.invert_yaxis()
-        if (rows[["before", "after"]] > 0.0).to_numpy().all():
-            axes.set_xscale("log")
-        axes.set_xlabel(f"Standard uncertainty in {name}" if name else "Standard uncertainty")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=2)
-    return figure
-
-
 def _tabulate_held_back(held: pd.DataFrame) -> Table:
     columns = [Column("Machine", kind="text"), *(Column(one, "µm") for one in ("rms", "mean", "largest"))]
     rows: list[list[str | Cell]] = []
@@ -114,11 +82,11 @@ def _tabulate_held_back(held: pd.DataFrame) -> Table:
 
 def _tabulate_required(study: StudyResults) -> Table | None:
     rows: list[list[str | Cell]] = []
-    for row in study.rows("requirements", study.chosen):
-        unit, every = str(row["unit"]), row["requirement"] == ALL
-        values = ["", ""] if every else [format_significant(row[one], 2) for one in ("limit", "error")]
-        name = "all together" if every else str(row["requirement"])
-        rows.append([name, "" if every else unit, *values, format_percent(row["probability"], 1)])
+    for row in study.rows(RequirementResultRow, study.chosen):
+        unit, every = row.unit, row.requirement == ALL
+        values = ["", ""] if every else [format_significant(one, 2) for one in (row.limit, row.error)]
+        name = "all together" if every else row.requirement
+        rows.append([name, "" if every else unit, *values, format_percent(row.probability, 1)])
     if not rows:
         return None
     columns = [Column("Requirement", kind="text"), Column("Unit", kind="text"), Column("allowed")]

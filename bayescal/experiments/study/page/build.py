@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bayescal.experiments.frame.blocks import show_sections
-from bayescal.experiments.frame.losses import attempt
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.blocks import show_sections
+from bayescal.experiments.runner.losses import attempt
+from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.study.page.before_after import show_before_after
@@ -22,22 +22,21 @@ from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.ridges import show_ridges
 from bayescal.experiments.study.page.solutions import show_solutions
 from bayescal.experiments.study.page.soundness import has_warnings, list_failures
-from bayescal.experiments.study.page.verdict import state_headline, state_verdict
-from bayescal.report.blocks import Page, Section
+from bayescal.experiments.study.page.verdict import list_key_figures, state_headline, state_verdict
+from bayescal.report.blocks import Page, PageSection
 
 NO_HEADLINE = "Results were computed; see what of the page could not be made."
-FAILURES = "Do not rely on these numbers yet. What speaks against them:"
 
-type PageBlock = Callable[[StudyResults], Section | None]
+type PageBlock = Callable[[StudyResults], PageSection | None]
 """A part of the page of any study; None where these results have nothing for it."""
 
 
-def show_accuracy(study: StudyResults) -> Section | None:
+def show_accuracy(study: StudyResults) -> PageSection | None:
     """Return how accurate the tool is; None where that was not computed."""
     return knowledge_page.show_accuracy(study.tables, study.chosen, study.units)
 
 
-def show_next(study: StudyResults) -> Section | None:
+def show_next(study: StudyResults) -> PageSection | None:
     """Return the candidate poses that reduce the error most."""
     return next(iter(knowledge_page.show_next(study.tables, study.chosen, study.units)), None)
 
@@ -89,9 +88,9 @@ def build_page(results: Results) -> Page:
         sections=show_sections(BLOCKS, study),
         facts=(
             ("Machine", str(summary["machine"])),
-            ("Data of the variant to use", str(study.fit(study.chosen)["data"])),
+            ("Data of the variant to use", str(study.fit(study.chosen)["data_set"])),
         ),
         failures=tuple(list_failures(study)),
-        failures_title=FAILURES,
-        doubtful=attempt("the verdict", lambda: has_warnings(study), True),
+        key_figures=attempt("the first figures", lambda: tuple(list_key_figures(study)), ()),
+        unreliable=attempt("the verdict", lambda: has_warnings(study), True),
     )

@@ -9,24 +9,30 @@ from typing import Any
 
 import pandas as pd
 
-from bayescal.experiments.frame.results import Row
-from bayescal.experiments.shared import knowledge_page
+from bayescal.experiments.shared.knowledge_page import NO_TOOL, TOOL_ACTION
 from bayescal.experiments.shared.origin import name_origin
+from bayescal.experiments.shared.soundness import LEARNT
 from bayescal.experiments.study.page.model_error import LEAD
-from bayescal.experiments.study.page.results import VERDICTS, StudyResults, get_number
-from bayescal.report.blocks import Block, Cell, Column, Counts, Level, Section, Statement, Table, make_pairs, make_table
-from bayescal.report.numbers import NOTHING, format_estimate, format_fixed, format_significant, join_words
+from bayescal.experiments.study.page.results import StudyResults, get_number
+from bayescal.experiments.study.rows import CLAIM_VERDICTS, ClaimRow, ParameterRow, ReferenceRow
+from bayescal.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Counts,
+    Level,
+    PageSection,
+    Statement,
+    Table,
+    make_pairs,
+    make_table,
+)
+from bayescal.report.numbers import NO_VALUE, capitalise, format_estimate, format_fixed, format_significant, join_words
 
 SHOWN_TARGETS = 20
 INSTRUMENTS = {"poses": "poses, whole or in part, as an instrument hands them out", "points": "tracked points"}
-TARGETS = (
-    "χ² per degree of freedom is 1 where the targets scatter about the fitted bodies as their stated noise says; "
-    "well above 1 the bodies deform or the noise is larger, well below 1 the noise is smaller than stated."
-)
-POINTS = (
-    "χ² per degree of freedom is 1 where the points of a station scatter about the rigid probe as their stated noise "
-    "says; well above 1 the probe deforms or the noise is larger, well below 1 the noise is smaller than stated."
-)
+TARGETS = "χ² per degree of freedom: 1 where targets scatter about rigid bodies by their stated noise."
+POINTS = "χ² per degree of freedom: 1 where points scatter about the rigid probe by their stated noise."
 
 type Symbol = tuple[str, str]
 
@@ -59,44 +65,53 @@ FRAMES: tuple[Symbol, ...] = (
     ("tool_x … tool_rz", "frame of the probe against the platform: displacement and rotation vector"),
 )
 NOTATION = "Notation; subscripts x, y, z are components, a leg's number is in the column's heading."
-LEVELS: dict[str, Level] = dict(zip(VERDICTS, ("good", "bad", "plain"), strict=True))
+LEVELS: dict[str, Level] = dict(zip(CLAIM_VERDICTS, ("good", "bad", "plain"), strict=True))
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state
-CLAIMS = (
-    "A claim opens to say how it was tested and what its verdict depends on. “Not testable”: these data cannot decide."
-)
+CLAIMS = "A claim opens to say how it was tested."
+
+
+UNKNOWN = {"noise_factor": "Noise", "model_error": "Model error"}
+"""What parameters of readings are called of which data may say nothing."""
+
+
+def is_learnt(row: ParameterRow) -> bool:
+    """Whether the data determine a parameter: its variance is at most half of that of its prior."""
+    return not row.contraction < LEARNT
 
 
 # --- what was measured -----------------------------------------------------------------------------------------------
 
 
 def state_data(study: StudyResults) -> list[Statement]:
-    """Say that there is no tool, which readings are not used, that they are few, and how noise was found."""
-    found = [] if study.summary.get("states_tool", True) else [Statement(knowledge_page.NO_TOOL, "warning", "Tool")]
-    if "found" in study.summary:
-        found.append(Statement(f"{study.summary['found']}.", lead="Frames"))
-    if "unused" in study.summary:
-        found.append(Statement(study.summary["unused"], "warning", "Data"))
-    if "missing_terms" in study.summary:
-        text = study.summary["missing_terms"]
-        found.append(Statement(f"{text[:1].upper()}{text[1:]}.", lead=LEAD))
+    """Return what is missing or not used of readings, machine and model error, and how noise was found."""
+    found, summary = list[Statement](), study.summary
+    if not summary.get("states_tool", True):
+        found.append(Statement(NO_TOOL, "warning", "Tool", action=TOOL_ACTION))
+    keys: dict[str, tuple[Level, str]] = {"found": ("plain", "Frames"), "unused": ("warning", "Data")}
+    for key, (level, lead) in (keys | {"missing_terms": ("plain", LEAD)}).items():
+        if key in summary:
+            found.append(Statement(f"{capitalise(str(summary[key])).rstrip('.')}.", level, lead))
     fit = study.fit(study.chosen)
-    if get_number(fit, "n_equations") < fit["n_parameters"]:
-        text = f"{fit['n_equations']} equations for {fit['n_parameters']} unknowns: what the readings do not determine"
-        found.append(Statement(f"{text} rests on the stated tolerances.", "warning", "Data"))
-    for row in study.rows("parameters", study.chosen):
-        kind, _, what = str(row["parameter"]).rstrip(")").partition("(")
-        factor, unit = study.shown_in(row["unit"])
-        amount = format_estimate(factor * row["mean"], factor * row["sd"])
-        if kind == "noise_factor":
-            found.append(Statement(f"The noise of {what} is {amount} times the stated one (± 1 sd).", lead="Noise"))
+    n, m = get_number(fit, "n_equations"), fit["n_parameters"]
+    if n < m:
+        text = f"{n:.0f} equations for {m} unknowns: undetermined combinations are prior-dominated."
+        found.append(Statement(text, "warning", "Data", value=n, limit=m))
+    for row in study.rows(ParameterRow, study.chosen):
+        kind, _, what = row.parameter.rstrip(")").partition("(")
+        factor, unit = study.shown_in(row.unit)
+        amount, mean = format_estimate(factor * row.mean, factor * row.sd), factor * row.mean
+        if kind in UNKNOWN and not is_learnt(row):
+            found.append(Statement(f"{UNKNOWN[kind]} of {what}: not determined by the data.", lead="Noise"))
+        elif kind == "noise_factor":
+            text = f"Noise of {what}: {amount} times the stated one."
+            found.append(Statement(text, lead="Noise", value=mean, limit=1.0))
         elif kind == "model_error":
-            text = f"Beyond its noise, {what} errs by {amount} {unit} (± 1 sd)."
-            found.append(Statement(text, lead=LEAD))
+            found.append(Statement(f"Model error of {what}: {amount} {unit}.", lead=LEAD, value=mean, unit=unit))
     return found
 
 
-def show_data(study: StudyResults) -> Section | None:
+def show_data(study: StudyResults) -> PageSection | None:
     """Return what was measured and how it became poses; None where the facts below the heading say it all."""
     summary, instrument = study.summary, study.instrument
     if "pose_extraction" not in summary and instrument is None:
@@ -119,12 +134,12 @@ def show_data(study: StudyResults) -> Section | None:
     else:
         rows += _list_readings(instrument, sum(summary["n_poses"].values()))
         notes += [Statement(POINTS)] if "points" in instrument else []
-    return Section("Data", (make_pairs("Measurements.", rows, notes),), anchor="data")
+    return PageSection("Data", (make_pairs("Measurements.", rows, notes),), anchor="data")
 
 
 def _list_readings(instrument: dict[str, Any], n_poses: int) -> list[list[str]]:
     """Return what an instrument read: coordinates of poses, or points by stations."""
-    kind = str(instrument.get("measurement"))
+    kind = str(instrument.get("instrument"))
     free = ", ".join(str(frame) for frame in instrument.get("free_frames", []))
     rows = [["Instrument", INSTRUMENTS.get(kind, kind)], ["Frames found with the machine", free or "none, all known"]]
     if "points" in instrument:
@@ -148,7 +163,7 @@ def _shorten(names: list[str]) -> str:
 # --- symbols ---------------------------------------------------------------------------------------------------------
 
 
-def show_notation(study: StudyResults) -> Section | None:
+def show_notation(study: StudyResults) -> PageSection | None:
     """Return the symbols of models of legs; of a publication, also where it defines them."""
     if "drive" not in study.summary:
         return None
@@ -157,9 +172,9 @@ def show_notation(study: StudyResults) -> Section | None:
     rows = [[symbol, meaning] for symbol, meaning in list_symbols(study)]
     if publication is not None:
         columns.append(Column(publication["source"], kind="text"))
-        rows = [[symbol, meaning, publication["notation"].get(symbol, NOTHING)] for symbol, meaning in rows]
+        rows = [[symbol, meaning, publication["notation"].get(symbol, NO_VALUE)] for symbol, meaning in rows]
     sources = () if publication is None else (publication["citation"],)
-    return Section("Notation", (make_table(NOTATION, columns, rows), *sources), anchor="notation")
+    return PageSection("Notation", (make_table(NOTATION, columns, rows), *sources), anchor="notation")
 
 
 def list_symbols(study: StudyResults) -> tuple[Symbol, ...]:
@@ -169,7 +184,7 @@ def list_symbols(study: StudyResults) -> tuple[Symbol, ...]:
         frames = (GAIN, *frames)
     if not study.has_struts:
         return (*SYMBOLS, *frames)
-    there = {*study.deformations, *(["matrix"] if study.has("ring") else [])}
+    there = {*study.deformations, *(["matrix"] if study.has("joint_deflection") else [])}
     deformed = [(KAPPA, {"linear", "matrix"}), (MATRIX, {"matrix"})]
     own = (symbol for symbol, kinds in deformed if kinds & there)
     return (*STRUTS, *own, ("tau", ERROR.format("strut")), *frames)
@@ -198,22 +213,22 @@ def _count(claims: pd.DataFrame) -> list[Cell]:
 
 
 def state_claims(study: StudyResults) -> list[Statement]:
-    """Say in one sentence how the publication's claims fared."""
+    """Return how the publication's claims fared."""
     claims = study.table("claims")[study.table("claims")["section"] != OWN]
     if claims.empty:
         return []
-    counts = join_words([cell.text for cell in _count(claims)])
-    words = f"{len(claims)} {'claim' if len(claims) == 1 else 'claims'}"
-    return [Statement(f"Of {words} of the publication, {counts}.", lead="Publication")]
+    n = int((claims["verdict"] == "holds").sum())
+    text = f"Claims of the publication: {join_words([cell.text for cell in _count(claims)])}."
+    return [Statement(text, lead="Publication", value=n, limit=len(claims))]
 
 
-def show_claims(study: StudyResults) -> Section | None:
+def show_claims(study: StudyResults) -> PageSection | None:
     """Return the section of the claims, counted and one by one; None where the study tests none."""
     if not study.has("claims") or study.publication is None:
         return None
     blocks: list[Block] = [Counts(title, marks) for title, marks in list_counts(study)]
     blocks += [CLAIMS, tabulate_claims(study.table("claims"))]
-    return Section(f"Claims of {study.publication['source']}", tuple(blocks), anchor="claims", short="Claims")
+    return PageSection(f"Claims of {study.publication['source']}", tuple(blocks), anchor="claims", short="Claims")
 
 
 def tabulate_claims(claims: pd.DataFrame) -> Table:
@@ -223,7 +238,7 @@ def tabulate_claims(claims: pd.DataFrame) -> Table:
     headings = {}
     for section in sorted(dict.fromkeys(claims["section"]), key=_order):
         headings[len(rows)] = _title(section)
-        rows += [_describe_claim(claim) for _, claim in claims[claims["section"] == section].iterrows()]
+        rows += [_describe_claim(claim) for claim in ClaimRow.read(claims) if claim.section == section]
     return replace(make_table("Claims and findings.", columns, rows, style="claims"), headings=headings)
 
 
@@ -239,72 +254,74 @@ def _title(section: str) -> str:
     return f"{'Sections' if ',' in section else 'Section'} {section}"
 
 
-def _describe_claim(claim: pd.Series) -> list[str | Cell]:
-    found = claim["found"]
-    if not found and claim["value"] == claim["value"]:  # NaN where there is no number
-        found = f"{format_significant(float(claim['value']))} {'' if claim['unit'] == '1' else claim['unit']}".strip()
+def _describe_claim(claim: ClaimRow) -> list[str | Cell]:
+    found = claim.found
+    if not found and claim.value == claim.value:  # NaN where there is no number
+        found = f"{format_significant(claim.value)} {'' if claim.unit == '1' else claim.unit}".strip()
     return [
-        Cell(claim["verdict"], LEVELS[claim["verdict"]], badge=True),
-        Cell(claim["statement"], more=f"{claim['why']} ({claim['claim']})".strip()),
-        claim["expected"] or NOTHING,
-        found or NOTHING,
+        Cell(claim.verdict, LEVELS[claim.verdict], badge=True),
+        Cell(claim.statement, more=f"{claim.reason} ({claim.claim})".strip()),
+        claim.expected or NO_VALUE,
+        found or NO_VALUE,
     ]
 
 
 # --- values of others ------------------------------------------------------------------------------------------------
 
 
-def _list_others(study: StudyResults) -> dict[str, list[Row]]:
+def _list_others(study: StudyResults) -> dict[str, list[ReferenceRow]]:
     """Return the rows of each source of values that stay out of the fit, by its title."""
-    found: dict[str, list[Row]] = {}
-    for row in study.rows("beside", study.chosen):
-        found.setdefault(str(row["beside"]), []).append(row)
+    found: dict[str, list[ReferenceRow]] = {}
+    for row in study.rows(ReferenceRow, study.chosen):
+        found.setdefault(row.reference, []).append(row)
     return found
 
 
-def _measure_distance(row: Row) -> float:
+def _measure_distance(row: ReferenceRow) -> float:
     """Return how far a value lies from the posterior mean, in standard deviations of both; 0 where neither has any."""
-    value_sd = row["value_sd"] if row["value_sd"] == row["value_sd"] else 0.0
-    spread = math.hypot(row["sd"], value_sd)
-    return float((row["value"] - row["mean"]) / spread) if spread > 0.0 else 0.0
+    value_sd = row.value_sd if row.value_sd == row.value_sd else 0.0
+    spread = math.hypot(row.sd, value_sd)
+    return float((row.value - row.mean) / spread) if spread > 0.0 else 0.0
 
 
 def state_comparison(study: StudyResults) -> list[Statement]:
-    """Say how values of others, which stay out of the fit, compare with the posterior."""
+    """Return how values of others, which stay out of the fit, compare with the posterior."""
     found = []
-    for title, rows in _list_others(study).items():
+    for title, every in _list_others(study).items():
+        unknown = {row.parameter for row in study.rows(ParameterRow, study.chosen) if not is_learnt(row)}
+        rows = [row for row in every if row.quantity not in unknown]
+        if not rows:
+            found.append(Statement(f"“{title}”: the data determine none of these quantities.", lead="Comparison"))
+            continue
         worst = max(rows, key=lambda row: abs(_measure_distance(row)))
         near = sum(abs(_measure_distance(row)) <= 2.0 for row in rows)
-        factor, unit = study.shown_in(str(worst["unit"]))
-        text = (
-            f"{title}: {near} of {len(rows)} values within two standard deviations; farthest "
-            f"{worst['quantity']}, {format_fixed(factor * worst['value'], 2)} {unit} against "
-            f"{format_estimate(factor * worst['mean'], factor * worst['sd'])} {unit} (± 1 sd)."
-        )
-        found.append(Statement(text, lead="Comparison"))
+        far = _measure_distance(worst)
+        text = f"“{title}”: {near} of {len(rows)} values within 2 sd; farthest {worst.quantity} by "
+        text += f"{format_fixed(far, 1, sign=True)} sd."
+        found.append(Statement(text, lead="Comparison", value=far, limit=2.0, unit="sd"))
     return found
 
 
-def show_comparison(study: StudyResults) -> Section | None:
+def show_comparison(study: StudyResults) -> PageSection | None:
     """Return the values of others with the posterior; None without any."""
     columns = [Column("Quantity", kind="text"), Column("Unit", kind="text"), Column("calibrated"), Column("other")]
     columns += [Column("Difference"), Column("in standard deviations")]
     blocks: list[Block] = []
     for title, rows in _list_others(study).items():
-        source = f" ({rows[0]['source']})" if rows[0]["source"] else ""
+        source = f" ({rows[0].source})" if rows[0].source else ""
         lines = [_compare(study, row) for row in rows]
         blocks.append(make_table(f"{title}{source}. These values stay out of the fit.", columns, lines))
     title = "Comparison with other values"
-    return Section(title, tuple(blocks), anchor="comparison", short="Comparison") if blocks else None
+    return PageSection(title, tuple(blocks), anchor="comparison", short="Comparison") if blocks else None
 
 
-def _compare(study: StudyResults, row: Row) -> list[str | Cell]:
-    factor, unit = study.shown_in(row["unit"])
+def _compare(study: StudyResults, row: ReferenceRow) -> list[str | Cell]:
+    factor, unit = study.shown_in(row.unit)
     return [
-        str(row["quantity"]),
+        row.quantity,
         unit,
-        format_estimate(factor * row["mean"], factor * row["sd"]),
-        format_significant(factor * row["value"], 6),
-        format_significant(factor * (row["value"] - row["mean"])),
+        format_estimate(factor * row.mean, factor * row.sd),
+        format_significant(factor * row.value, 6),
+        format_significant(factor * (row.value - row.mean)),
         format_fixed(_measure_distance(row), 1, sign=True),
     ]

@@ -16,21 +16,28 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from bayescal.experiments.frame.results import Row
+from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.shared.soundness import span_shares
 from bayescal.experiments.study.page.results import (
     POSITION,
-    USES,
     VARIANT,
     ErrorScale,
     StudyResults,
     get_number,
-    name_some,
 )
 from bayescal.experiments.study.page.soundness import COVERAGE, is_too_narrow
 from bayescal.experiments.study.page.styles import Styles, assign_styles
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Section, Statement, Table, make_table
-from bayescal.report.numbers import MICROMETRES, NOTHING, format_fixed, format_percent, format_plain, format_significant
+from bayescal.experiments.study.rows import PoseRow
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, PageSection, Statement, Table, make_table
+from bayescal.report.numbers import (
+    MICROMETRES,
+    NO_VALUE,
+    format_fixed,
+    format_percent,
+    format_plain,
+    format_significant,
+    name_some,
+)
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import describe_deformation, quote
 
@@ -43,32 +50,20 @@ CROWDED_MARGINS = MARGINS | {"bottom": 0.34, "top": 0.93}
 SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anchor", "fontsize": 7}
 NINETY = 1.645
 RANGE = 0.95  # of the binomial distribution, where a coverage is as expected
-FEW = 40  # held-back poses, from which little can be said of coverage
 MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
-BARS = (
-    "each bar is as high as the largest error, the line across it is the mean, both as numbers. Errors of the "
-    "posterior mean prediction"
-)
+BARS = "full bar: largest error, line: mean, both as numbers; of the posterior mean prediction"
 BOUNDS = (
-    "Position error of every pose in units of the 95 % bound that the posterior predicts for it (open: "
-    "verification). One pose in twenty is expected beyond 1; many more, in red, mean a posterior that claims too "
-    "much. The bound is the median over the poses."
+    "Position error of every pose over its predicted 95 % bound (open: verification); one in twenty is expected beyond "
+    "1, many red points: overconfident."
 )
-HELD_BACK = (
-    "Each reading of a held-back pose, predicted from the other readings there and from a calibration that has not "
-    "seen the pose."
-)
-WEIGHTS = (
-    "Some poses are expected to have nothing to do with where the machine was, because they were named wrongly, the "
-    "machine had not settled or something was in the way. Weight: how much a pose counts in the posterior, near zero "
-    "of one that is certainly wrong."
-)
+HELD_BACK = "Each predicted from the other readings of its pose and a calibration without that pose."
+WEIGHTS = "Weight: mean precision of a pose in the outlier model; near 0 for an outlier."
 
 
 # --- errors of measured poses ----------------------------------------------------------------------------------------
 
 
-def show_errors(study: StudyResults) -> Section | None:
+def show_errors(study: StudyResults) -> PageSection | None:
     """Return errors of poses, and how often bounds and intervals hold them; None where no poses were measured."""
     if not study.has("pose_errors"):
         return None
@@ -79,7 +74,7 @@ def show_errors(study: StudyResults) -> Section | None:
     if seen:  # by the instrument, of variants that are ranked
         blocks.append(Figure("bounds", BOUNDS, partial(_draw_bounds, table, seen, assign_styles(study))))
     blocks.append(Fold(title, (_tabulate_coverage(study),)))
-    return Section("Pose errors", tuple(blocks), anchor="errors", short="Errors")
+    return PageSection("Pose errors", tuple(blocks), anchor="errors", short="Errors")
 
 
 def _tabulate_coverage(study: StudyResults) -> Table:
@@ -243,53 +238,42 @@ def state_held_back(study: StudyResults) -> list[Statement]:
     others = [*_state_lost(study), *_state_tool(study)]
     if mine.empty:
         return others
-    share, n, lead = float(mine["inside"].mean()), len(mine), "Prediction"
-    n_poses = int(mine["pose"].nunique())
-    low, high = span_shares(COVERAGE, n_poses)
-    words = (
-        f"{int(mine['inside'].sum())} of {n} held-back readings of the machine's own sensors ({format_percent(share)}) "
-        "lie in their 90 % intervals"
-    )
+    share, n = float(mine["in_interval_90"].mean()), len(mine)
+    text = f"{int(mine['in_interval_90'].sum())} of {n} held-back readings of the machine's own sensors"
+    return [_judge_coverage(text, "Prediction", share, int(mine["pose"].nunique())), *others]
+
+
+def _judge_coverage(text: str, lead: str, share: float, n_poses: int) -> Statement:
+    """Return whether so many readings in their 90 % intervals are as expected, a pose counted as one trial."""
+    low, high = span_shares(COVERAGE, n_poses, RANGE)
+    text = f"{text} lie in their 90 % intervals ({format_percent(share)})"
     if low <= share <= high:
-        return [Statement(f"{words}, as expected{'' if n_poses >= FEW else '; small sample'}.", "good", lead), *others]
-    tendency = "too small" if share < COVERAGE else "too large"
-    return [Statement(f"{words}: the stated uncertainty is {tendency}.", "warning", lead), *others]
+        return Statement(f"{text}, as expected.", "good", lead, value=share, limit=COVERAGE)
+    tendency = "narrow" if share < COVERAGE else "wide"
+    return Statement(f"{text}: intervals too {tendency}.", "warning", lead, value=share, limit=COVERAGE)
 
 
 def _state_lost(study: StudyResults) -> list[Statement]:
-    """Say which held-back readings no figure of held-back readings counts, since they have no prediction, and why."""
+    """Return how many held-back readings have no prediction."""
     lost, known = study.table("not_predicted", study.chosen), study.table("predictions", study.chosen)
     if lost.empty:
         return []
-    parts = []
-    for why, some in lost.groupby("why", sort=False):
-        names = [f"{quote(channel)} of {pose}" for pose, channel in zip(some["pose"], some["channel"], strict=True)]
-        parts.append(f"{name_some(names)} ({why})")
-    total, one = len(lost) + len(known), len(lost) == 1
-    verb, them = ("has", "it is") if one else ("have", "they are")
-    text = f"{len(lost)} of {total} held-back readings {verb} no prediction, and {them} in no count of intervals: "
-    return [Statement(f"{text}{'; '.join(parts)}.", "warning", "Prediction")]
+    names = [f"{quote(channel)} of {pose}" for pose, channel in zip(lost["pose"], lost["channel"], strict=True)]
+    text = f"{len(lost)} of {len(lost) + len(known)} held-back readings could not be predicted: {name_some(names)}."
+    return [Statement(text, "warning", "Prediction", value=float(len(lost)))]
 
 
 def _state_tool(study: StudyResults) -> list[Statement]:
-    """Say how many readings of the tool by an instrument lie where the machine's own readings predict them."""
+    """Return how many readings of the tool by an instrument lie where the machine's own readings predict them."""
     mine = study.table("tool_predictions", study.chosen)
     if mine.empty:
         return []
-    n, n_poses, share = len(mine), mine["pose"].nunique(), float(mine["inside"].mean())
-    low, high = span_shares(COVERAGE, n_poses, RANGE)
-    text = (
-        f"{int(mine['inside'].sum())} of {n} readings of the tool by the instrument at {n_poses} held-back poses "
-        f"({format_percent(share)}) lie in the 90 % intervals that the machine's own sensors predict; expected "
-        f"{format_percent(low)} to {format_percent(high)} (binomial, a pose counted as one trial)"
-    )
-    if low <= share <= high:
-        return [Statement(f"{text}.", "good", "Coverage")]
-    tendency = "too narrow" if share < COVERAGE else "too wide"
-    return [Statement(f"{text}: intervals of the tool's position are {tendency}.", "warning", "Coverage")]
+    share, n_poses = float(mine["in_interval_90"].mean()), int(mine["pose"].nunique())
+    text = f"{int(mine['in_interval_90'].sum())} of {len(mine)} held-back tool readings"
+    return [_judge_coverage(text, "Coverage", share, n_poses)]
 
 
-def show_held_back(study: StudyResults) -> Section | None:
+def show_held_back(study: StudyResults) -> PageSection | None:
     """Return how held-back readings compare with their predictions; None without any."""
     if not study.has("predictions"):
         return None
@@ -300,8 +284,8 @@ def show_held_back(study: StudyResults) -> Section | None:
     rows: list[list[str | Cell]] = []
     for name in study.names:
         mine = table[table["variant"] == name]
-        counts = [mine[mine["kind"] == kind]["inside"] for kind in kinds]
-        cells = [f"{int(one.sum())} of {len(one)}" if len(one) else NOTHING for one in counts]
+        counts = [mine[mine["kind"] == kind]["in_interval_90"] for kind in kinds]
+        cells = [f"{int(one.sum())} of {len(one)}" if len(one) else NO_VALUE for one in counts]
         rows.append([study.label(name), *cells])
     notes = [*_state_lost(study), *_state_tool(study)]
     blocks: list[Block] = [HELD_BACK, make_table("Coverage.", columns, rows, notes)]
@@ -309,7 +293,7 @@ def show_held_back(study: StudyResults) -> Section | None:
     if len(mine):
         caption = f"Held-back readings, {study.label(study.chosen)}."
         blocks.append(Figure("predictions", caption, partial(_draw_predictions, mine)))
-    return Section("Held-back readings", tuple(blocks), anchor="held-back")
+    return PageSection("Held-back readings", tuple(blocks), anchor="held-back")
 
 
 def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
@@ -322,7 +306,7 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
         mine = predictions[predictions["channel"] == channel]
         z = ((mine["measured"] - mine["mean"]) / mine["sd"]).to_numpy()
         spread = row + 0.28 * np.linspace(-1.0, 1.0, len(z)) if len(z) > 1 else np.array([float(row)])
-        inside = mine["inside"].to_numpy(dtype=bool)
+        inside = mine["in_interval_90"].to_numpy(dtype=bool)
         axes.plot(z[inside], spread[inside], "o", color=LEG_COLOURS[0], markersize=3.5)
         axes.plot(z[~inside], spread[~inside], "D", color=RED, markersize=4.0)
     axes.set_yticks(range(len(channels)), [quote(name) for name in reversed(channels)])
@@ -334,48 +318,48 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
 # --- poses that the others contradict --------------------------------------------------------------------------------
 
 
-def list_contradicting(study: StudyResults) -> list[Row]:
+def list_contradicting(study: StudyResults) -> list[PoseRow]:
     """Return the best variant's poses that the others contradict, those that count least first."""
-    rows = [row for row in study.rows("poses", study.best_name) if row["contradicting"]]
-    return sorted(rows, key=lambda row: row["trust"])
+    rows = [row for row in study.rows(PoseRow, study.best_name) if row.is_outlier]
+    return sorted(rows, key=lambda row: row.robust_weight)
 
 
 def state_outliers(study: StudyResults) -> list[Statement]:
     """Say which poses the others contradict, or that none does where some were expected to be outliers."""
     rows, lead = list_contradicting(study), "Outliers"
     if rows:
-        words = name_some([str(row["pose"]) for row in rows])
-        verb = "pose disagrees" if len(rows) == 1 else "poses disagree"
-        return [Statement(f"Check the readings of {words}: {len(rows)} {verb} with the others.", "warning", lead)]
-    if not study.fit(study.best_name).get("robust"):
+        text = f"Possible outliers: {len(rows)} pose{'s' if len(rows) > 1 else ''}."
+        action = f"Check the readings of {name_some([row.pose for row in rows])}."
+        return [Statement(text, "warning", lead, value=float(len(rows)), limit=0.0, action=action)]
+    if not study.fit(study.best_name).get("has_outliers"):
         return []
-    least = min(study.rows("poses", study.best_name), key=lambda row: row["trust"])
-    text = f"No pose contradicts the others; {least['pose']} counts least, with a weight of"
-    return [Statement(f"{text} {format_fixed(least['trust'], 2)}.", "good", lead)]
+    least = min(study.rows(PoseRow, study.best_name), key=lambda row: row.robust_weight)
+    text = f"No outlier; smallest weight {format_fixed(least.robust_weight, 2)} ({least.pose})."
+    return [Statement(text, "good", lead, value=least.robust_weight)]
 
 
-def show_outliers(study: StudyResults) -> Section:
+def show_outliers(study: StudyResults) -> PageSection:
     """Return the residuals of the poses, and those that the others contradict."""
     caption = f"Residuals of {study.label(study.best_name)} at each pose, in units of their noise."
     blocks: list[Block] = [Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name)))]
     columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
     cells: list[list[str | Cell]] = []
     for row in list_contradicting(study):
-        size = format_significant(math.sqrt(row["square"] / max(1, row["equations"])), 2)
-        cells.append([str(row["pose"]), str(row["equations"]), size, format_fixed(row["trust"], 2)])
-    blocks += [WEIGHTS] if study.fit(study.best_name).get("robust") else []
+        size = format_significant(math.sqrt(row.chi2 / max(1, row.n_dof)), 2)
+        cells.append([row.pose, str(row.n_dof), size, format_fixed(row.robust_weight, 2)])
+    blocks += [WEIGHTS] if study.fit(study.best_name).get("has_outliers") else []
     blocks.append(
         make_table("Poses that the others contradict.", columns, cells) if cells else "No pose contradicts the others."
     )
-    return Section("Poses", tuple(blocks), anchor="outliers")
+    return PageSection("Poses", tuple(blocks), anchor="outliers")
 
 
 def _draw_poses(poses: pd.DataFrame) -> Drawing:
     """Return the residuals of the best machine at each pose, in units of their noise."""
     figure = Drawing(figsize=(9.4, 2.9))
     axes = figure.subplots()
-    size = np.sqrt(poses["square"] / np.maximum(poses["equations"], 1))
-    contradicting = poses["contradicting"].to_numpy(dtype=bool)
+    size = np.sqrt(poses["chi2"] / np.maximum(poses["n_dof"], 1))
+    contradicting = poses["is_outlier"].to_numpy(dtype=bool)
     place = np.arange(len(poses))
     axes.bar(place[~contradicting], size[~contradicting], color=LEG_COLOURS[0], width=0.7)
     axes.bar(place[contradicting], size[contradicting], color=RED, width=0.7)

@@ -29,24 +29,18 @@ from bayescal.limits import (
     PARETO_K_LIMIT,
     RHAT_LIMIT,
 )
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Level, Section, Statement, Table, make_table
-from bayescal.report.numbers import NOTHING, count_decimals, format_estimate, format_fixed, format_plain, join_words
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Level, PageSection, Statement, Table, make_table
+from bayescal.report.numbers import NO_VALUE, count_decimals, format_estimate, format_fixed, format_plain, join_words
 from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
-EXACT = (
-    "Both explore a density whose covariance is the nominal machine's and are corrected by the exact one, with the "
-    "covariance of every machine itself and the errors that all poses share: by how much, and how many of the draws "
-    "moved there count."
-)
+EXACT = "Sampling uses a covariance linearised at the nominal machine; importance weights correct it."
 WIDTHS = (
-    "Log-evidence against a factor on the widths of all parameters' priors, which keep their "
-    "ratios. Left: each variant below its own largest value; right: each variant below the best one at the same "
-    "factor, logarithmic beyond 1 nat. Models are shifted a little at each factor, so that equal ones do not overlap. "
-    "The ranking is stable where no lines cross on the right (ranks: table below)."
+    "Left: each variant below its own largest log-evidence; right: below the best one at the same factor. Models are "
+    "shifted sideways so as not to overlap."
 )
 SPREAD = 0.08  # of the axis between the first and the last model at one factor
 TIED = 1.0  # nats
@@ -57,26 +51,14 @@ MOST_NAMED = 80  # poses with a name below the axis
 GRID = np.linspace(0.0, 1.0, 101)
 SENSITIVE = 0.05
 """Change of a posterior per doubling of a power, as a distance of distributions, from which on it counts."""
-RANKS = (
-    "Each chain's share of the draws below a rank, less the expected share, a line for each parameter and chain. "
-    "Band: 95 % of as many independent draws as the smallest bulk ESS says, one parameter at a time. A chain that "
-    "leaves it together with others of its colour has not seen what the others have."
-)
-PARETO_K = (
-    "Pareto k of the weights that leave a calibration pose out. Above the line "
-    f"({PARETO_K_LIMIT}) the weights fail; such a pose (open) was left out by a run of its own, unless more than "
-    "ten poses of a posterior are as bad."
-)
-POWERS = (
-    "How far the distribution of a parameter moves when the prior, or the density of the measurements, is raised "
-    f"to a power near one; it counts from {SENSITIVE} on. Sensitive to the prior alone: the measurements say "
-    "little. Sensitive to both: they pull apart."
-)
+RANKS = "ECDF-difference rank plot with a 95 % band; curves outside it: a chain that has not mixed."
+PARETO_K = f"Pareto k of each pose left out; limit {PARETO_K_LIMIT}. Open: left out by sampling again."
+POWERS = f"Cumulative Jensen–Shannon distance; threshold {SENSITIVE}. Both high: prior–data conflict."
 
 type Row = list[tuple[Column, str | Cell]]
 
 
-def show_evidence(study: StudyResults) -> Section:
+def show_evidence(study: StudyResults) -> PageSection:
     """Return the evidence for other widths of the priors, and by both estimators."""
     blocks: list[Block] = []
     if study.has("sensitivity"):
@@ -85,13 +67,13 @@ def show_evidence(study: StudyResults) -> Section:
             blocks.append(Figure("sensitivity", WIDTHS, draw))
         blocks.append(_tabulate_widths(study))
     both = Fold("Both estimators of every log-evidence", (tabulate_evidence(study),))
-    return Section("Evidence", (*blocks, *show_tau_scale(study), both), anchor="evidence")
+    return PageSection("Evidence", (*blocks, *show_tau_scale(study), both), anchor="evidence")
 
 
-def show_diagnostics(study: StudyResults) -> Section:
+def show_diagnostics(study: StudyResults) -> PageSection:
     """Return the convergence of every posterior, open where something failed, and further checks."""
     fold = Fold("Convergence of every posterior", (_tabulate_diagnostics(study),), bool(list_failures(study)))
-    return Section("Numerical checks", (fold, *_fold_checks(study)), anchor="diagnostics", short="Checks")
+    return PageSection("Sampler diagnostics", (fold, *_fold_checks(study)), anchor="diagnostics", short="Checks")
 
 
 # --- the estimators and their convergence ----------------------------------------------------------------------------
@@ -111,8 +93,8 @@ def _tabulate(study: StudyResults, caption: str, describe: Callable[[Mapping[str
 def tabulate_evidence(study: StudyResults) -> Table:
     """Return both estimators of the log-evidence side by side."""
     fits = study.fits.values()
-    exact = any(fit.get("exact_density_shift") is not None for fit in fits)
-    checked = any(fit.get("log_evidence_tempered") is not None for fit in fits)
+    exact = any(fit.get("linearisation_log_shift") is not None for fit in fits)
+    checked = any(fit.get("log_evidence_check") is not None for fit in fits)
 
     def describe(fit: Mapping[str, Any]) -> Row:
         gap, k = measure_gap(fit), fit["pareto_k"]
@@ -124,25 +106,27 @@ def tabulate_evidence(study: StudyResults) -> Table:
         ]
         row += _describe_correction(fit) if exact else []
         row.append((Column("Reported", kind="text"), str(fit["log_evidence_by"])))
-        return row + ([_estimate(fit, "tempered")] if checked else [])
+        return row + ([_estimate(fit, "check", "another sampler")] if checked else [])
 
     caption = "The log-evidence of every posterior by two independent estimators."
     return _tabulate(study, f"{caption} {EXACT}" if exact else caption, describe)
 
 
-def _estimate(fit: Mapping[str, Any], by: str) -> tuple[Column, str | Cell]:
+def _estimate(fit: Mapping[str, Any], by: str, title: str = "") -> tuple[Column, str | Cell]:
     value, se = fit.get(f"log_evidence_{by}"), fit.get(f"log_evidence_{by}_se")
-    return Column(by, "nat", "Log-evidence by"), NOTHING if value is None or se is None else format_evidence(value, se)
+    return Column(title or by, "nat", "Log-evidence by"), NO_VALUE if value is None or se is None else format_evidence(
+        value, se
+    )
 
 
 def _describe_correction(fit: Mapping[str, Any]) -> Row:
     """Return by how much the exact density changes the evidence and how many of the moved draws count."""
-    columns = Column("shift", "nat", "Exact density"), Column("draws that count", "%", "Exact density")
-    if fit.get("exact_density_shift") is None:
-        return [(column, NOTHING) for column in columns]
-    efficiency = fit["exact_density_efficiency"]
-    fine = efficiency >= MOVED_LIMIT and fit["exact_density_pareto_k"] <= PARETO_K_LIMIT
-    shift = format_evidence(fit["exact_density_shift"], fit["exact_density_se"])
+    columns = Column("shift", "nat", "Exact density"), Column("ESS fraction", "%", "Exact density")
+    if fit.get("linearisation_log_shift") is None:
+        return [(column, NO_VALUE) for column in columns]
+    efficiency = fit["linearisation_efficiency"]
+    fine = efficiency >= MOVED_LIMIT and fit["linearisation_pareto_k"] <= PARETO_K_LIMIT
+    shift = format_evidence(fit["linearisation_log_shift"], fit["linearisation_log_shift_se"])
     return list(zip(columns, (shift, _limited(100 * efficiency, fine, 0)), strict=True))
 
 
@@ -175,7 +159,7 @@ def _tabulate_diagnostics(study: StudyResults) -> Table:
             row.append((Column("Acceptance", "%"), format_fixed(100 * fit["acceptance"], 0)))
         largest = Cell(format_fixed(k, 2), "plain" if k <= PARETO_K_LIMIT else "warning")
         row.append((Column("Largest LOO", "Pareto k"), largest))
-        row.append((Column("Poses sampled again without"), str(fit["loo_refitted"])))
+        row.append((Column("Exact LOO refits"), str(fit["n_loo_refitted"])))
         if "wall_seconds" in fit:
             row.append((Column("Time", "s", kind="seconds"), format_fixed(fit["wall_seconds"], 1)))
         status = Cell("converged") if fit["converged"] else Cell(fit["problems"] or "not converged", "bad")
@@ -196,7 +180,7 @@ def _tabulate_grid(
     rows: list[list[str | Cell]] = []
     for name in wide.columns:
         pairs = zip(wide[name], ranks[name], strict=True)
-        texts = [NOTHING if pd.isna(x) else f"{format_fixed(x, 1)} ({format_fixed(rank, 0)})" for x, rank in pairs]
+        texts = [NO_VALUE if pd.isna(x) else f"{format_fixed(x, 1)} ({format_fixed(rank, 0)})" for x, rank in pairs]
         marks = [False] * len(texts) if marked is None else marked[name]
         cells = [Cell(text, "warning" if mark else "plain") for text, mark in zip(texts, marks, strict=True)]
         rows.append([study.label(name), *cells])
@@ -261,9 +245,9 @@ def _draw_lines(axes: Axes, wide: pd.DataFrame, styles: Styles) -> None:
 def show_tau_scale(study: StudyResults) -> list[Block]:
     """Return what to do about the scale of the model error's prior and how certain that is; nothing without it."""
     own = study.tau_scale
-    if own is None or study.table("tau_scale")["tau_scale_um"].nunique() < 2:
+    if own is None or study.table("tau_scale")["scale"].nunique() < 2:
         return []
-    wide = study.table("tau_scale").pivot(index="tau_scale_um", columns="variant", values="log_evidence")
+    wide = study.table("tau_scale").pivot(index="scale", columns="variant", values="log_evidence")
     wide = wide[[name for name in study.ranking if name in wide.columns]].sort_index()
     columns = [Column(f"{scale:g} {study.error_unit}", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
     caption = "Log-evidence for other scales of τ's prior, by weighted draws of each posterior."
@@ -271,31 +255,17 @@ def show_tau_scale(study: StudyResults) -> list[Block]:
 
 
 def _state_order(study: StudyResults, wide: pd.DataFrame, own: float) -> Statement:
-    """Say whether a variant that is ahead at the stated scale falls behind at another."""
-    known, total = int(wide.notna().to_numpy().sum()), wide.size
-    reliable = (
-        f" {known} of {total} evidences are reliable: the draws of the others weigh too unevenly (Pareto k above "
-        f"{PARETO_K_LIMIT}), since a posterior with that scale lies elsewhere."
-        if known < total
-        else ""
-    )
+    """Return whether a variant that is ahead at the stated scale falls behind at another."""
     overtaken = _find_overtaken(wide, own)
     unit = study.error_unit
     if overtaken is None:
-        text = (
-            f"Keep the scale of τ's prior, {own:g} {unit}, and the order of the variants: from {wide.index[0]:g} to "
-            f"{wide.index[-1]:g} {unit} none that is ahead by more than {format_fixed(TIED, 0)} nat falls behind by as "
-            f"much.{reliable}"
-        )
-        return Statement(text, "plain" if reliable else "good", LEAD)
+        text = f"The ranking does not depend on τ's prior scale ({wide.index[0]:g} to {wide.index[-1]:g} {unit})."
+        return Statement(text, "plain" if wide.isna().any(axis=None) else "good", LEAD)
     scale, ahead, behind = overtaken
-    lead = wide[ahead] - wide[behind]
     text = (
-        f"State the scale of τ's prior with the order of the variants: at {own:g} {unit} "
-        f"{study.label(ahead)} is ahead of {study.label(behind)} by {format_fixed(lead[own], 1)} nat, at {scale:g} "
-        f"{unit} behind by {format_fixed(-lead[scale], 1)} nat.{reliable}"
+        f"Ranking depends on τ's prior scale: {study.label(ahead)} leads at {own:g} {unit}, {study.label(behind)} at "
     )
-    return Statement(text, "warning", LEAD)
+    return Statement(f"{text}at {scale:g} {unit}.", "warning", LEAD)
 
 
 def _find_overtaken(wide: pd.DataFrame, own: float) -> tuple[float, str, str] | None:
@@ -361,7 +331,7 @@ def _draw_pareto_k(left_out: pd.DataFrame, variants: list[str], styles: Styles) 
     for k, name in enumerate(variants):
         own, style = left_out[left_out["variant"] == name], styles[name]
         shift = 0.6 * ((k + 0.5) / len(variants) - 0.5)
-        face = np.where(own["refitted"].astype(bool), "none", style.colour)
+        face = np.where(own["loo_refitted"].astype(bool), "none", style.colour)
         shape: dict[str, Any] = {
             "marker": style.marker,
             "facecolors": face,
@@ -396,12 +366,12 @@ def tabulate_power_scaling(own: pd.DataFrame) -> Table:
         spans = (dict.fromkeys(format_fixed(float(x), 3) for x in (one.min(), one.max())) for one in values)
         prior, data = (one >= SENSITIVE for one in values)
         words = []
-        for chosen, text in ((prior & data, "prior and measurements pull apart"), (prior & ~data, "the prior decides")):
+        for chosen, text in ((prior & data, "prior–data conflict"), (prior & ~data, "prior-dominated")):
             legs = [str(leg) for leg in group.loc[chosen, "leg"] if leg]
             if chosen.any():
                 words.append(text + ("" if chosen.all() or not legs else f" in leg {join_words(legs)}"))
         in_conflict = bool((prior & data).any())
-        meaning = Cell("; ".join(words) or "the measurements decide", "warning" if in_conflict else "plain")
+        meaning = Cell("; ".join(words) or "data-dominated", "warning" if in_conflict else "plain")
         rows.append([str(symbol), *(" to ".join(span) for span in spans), meaning])
     caption = "Sensitivity to prior and measurements by power scaling, over the entries of each symbol."
     return make_table(caption, columns, rows, [Statement(POWERS)])

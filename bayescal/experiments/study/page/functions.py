@@ -8,28 +8,21 @@ from functools import partial
 import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
-from bayescal.experiments.frame.results import Row
+from bayescal.experiments.shared.rows import ErrorFunctionRow
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.page.model_error import bracket
 from bayescal.experiments.study.page.results import StudyResults
-from bayescal.report.blocks import Block, Column, Figure, Level, Section, Statement, make_table
-from bayescal.report.numbers import format_fixed, format_significant, join_words
+from bayescal.report.blocks import Block, Column, Figure, Level, PageSection, Statement, make_table
+from bayescal.report.numbers import format_fixed, format_significant
 from bayescal.report.style import GREY, LEG_COLOURS
 from bayescal.report.symbols import quote, set_parameter, split_name
 
 SHARE, CERTAIN = 0.5, 0.9995
+OPEN = 0.2
+"""How far from its prior a probability has to be to say something: odds of 7 to 3."""
 UNITS = {"um": "µm"}
-INPUTS = {"reading": "what they read", "commands": "where the machine is", "order": "the order of the rows"}
-FUNCTIONS = (
-    "A scale that is off, an encoder that sits askew or a drift is the same function every time: of the sensor's own "
-    "reading, of where the machine is, or of the order of the rows. Whether there is such an error is for the "
-    "readings to say, its prior probability being one half. A geometry that is off imitates much of it, and the part "
-    "of an error that the readings do not determine is as wide as its scale: the intervals hold it."
-)
-SCALES = (
-    "Scale: what a sensor errs by at the end of its range, one standard deviation, where there is an error; left of "
-    "prior: sd of its logarithm over that of its prior, near 100 % where the scale is what was stated."
-)
+INPUTS = {"reading": "the reading", "commands": "the machine's position", "order": "the order of rows"}
+SCALES = "Scale: sd at the end of the sensor's range. sd / prior sd: of the scale's logarithm."
 
 
 def _title_functions(study: StudyResults) -> dict[str, str]:
@@ -40,33 +33,37 @@ def _title_functions(study: StudyResults) -> dict[str, str]:
 
 
 def state_functions(study: StudyResults) -> list[Statement]:
-    """Return in a sentence for each variant which sensors err by how much."""
-    statements = []
-    for name, title in (_title_functions(study) if study.has("functions") else {}).items():
-        kinds: dict[tuple[str, str], list[Row]] = {}
-        for row in study.rows("functions", name):
-            kinds.setdefault((split_name(str(row["sensor"]))[0], INPUTS[row["of"]]), []).append(row)
-        parts = list[str]()
-        level: Level = "good"
+    """Return for each variant and kind of sensors whether they have systematic errors, and how large."""
+    found = list[Statement]()
+    for name in _title_functions(study) if study.has("functions") else ():
+        kinds: dict[tuple[str, str], list[ErrorFunctionRow]] = {}
+        for row in study.rows(ErrorFunctionRow, name):
+            kinds.setdefault((split_name(row.sensor)[0], INPUTS[row.input]), []).append(row)
         for (kind, of), own in kinds.items():
-            largest = max(own, key=lambda row: row["rms"])
-            present = max(row["present"] for row in own)
-            percent = "above 99.9 %" if present > CERTAIN else f"{format_fixed(100.0 * present, 1)} %"
-            text = f"need none of {of} (probability {percent})"
-            if present > SHARE:
-                level = "warning"
-                size = f"{format_significant(largest['rms'], 2)} {_name_unit(largest)} rms"
-                text = f"err by functions of {of} (probability {percent}), {largest['sensor']} most, {size}"
-            parts.append(f"sensors {kind} {text}")
-        statements.append(Statement(f"“{title}”: {join_words(parts)}.", level, "Sensors' errors"))
-    return statements
+            largest = max(own, key=lambda row: row.rms)
+            present = max(row.probability_present for row in own)
+            percent = "P > 99.9 %" if present > CERTAIN else f"P = {format_fixed(100.0 * present, 1)} %"
+            level: Level = "good"
+            text = f"{study.label(name)}: no systematic error needed in {kind} ({percent})."
+            if abs(present - SHARE) < OPEN:
+                text, level = f"{study.label(name)}: systematic error in {kind} is not determined ({percent}).", "plain"
+            elif present > SHARE:
+                size = f"{largest.sensor} {format_significant(largest.rms, 2)} {_name_unit(largest)} rms"
+                text, level = (
+                    f"{study.label(name)}: systematic error in {kind}, a function of {of} ({percent}); {size}.",
+                    "warning",
+                )
+            value = largest.rms if present > SHARE else math.nan
+            unit = _name_unit(largest) if present > SHARE else ""
+            found.append(Statement(text, level, "Sensors' errors", value=value, unit=unit))
+    return found
 
 
-def _name_unit(row: Row) -> str:
-    return UNITS.get(str(row["unit"]), str(row["unit"]))
+def _name_unit(row: ErrorFunctionRow) -> str:
+    return UNITS.get(row.unit, row.unit)
 
 
-def show_functions(study: StudyResults) -> Section | None:
+def show_functions(study: StudyResults) -> PageSection | None:
     """Return whether sensors err by functions, how large these are and of what; None where no variant has any."""
     if not study.has("functions"):
         return None
@@ -74,42 +71,45 @@ def show_functions(study: StudyResults) -> Section | None:
     columns = [Column("Variant", kind="text"), Column("Kernel", kind="text"), Column("Sensor", kind="text")]
     columns += [Column("Function of", kind="text")]
     columns += [Column("Unit", kind="text"), Column("Present", "%"), Column("Scale stated"), Column("Scale found")]
-    columns += [Column("left of prior", "%"), Column("Size", "rms over the poses, mean [5 %, 95 %]")]
+    columns += [Column("sd / prior sd", "%"), Column("Size", "rms over the poses, mean [5 %, 95 %]")]
     rows = [
         [
-            titles[str(row["variant"])],
-            str(row["kernel"]),
-            str(row["sensor"]),
-            INPUTS[row["of"]].replace("they read", "it reads"),
+            titles[row.variant],
+            row.kernel,
+            row.sensor,
+            INPUTS[row.input],
             _name_unit(row),
-            format_fixed(100.0 * row["present"], 1),
-            format_significant(row["scale_stated"]),
-            format_significant(row["scale"], 2),
-            format_significant(100.0 * row["left"], 2),
-            bracket(format_significant(row[key], 2) for key in ("rms", "rms_low", "rms_high")),
+            format_fixed(100.0 * row.probability_present, 1),
+            format_significant(row.scale_stated),
+            format_significant(row.scale, 2),
+            format_significant(100.0 * row.log_scale_sd_ratio, 2),
+            bracket(format_significant(one, 2) for one in (row.rms, row.rms_low, row.rms_high)),
         ]
-        for row in study.rows("functions")
+        for row in study.rows(ErrorFunctionRow)
     ]
     table = make_table("Sensors' errors that are functions.", columns, rows, [Statement(SCALES)], style="wide")
-    blocks: list[Block] = [FUNCTIONS, table]
+    blocks: list[Block] = [table]
     for name, title in titles.items():
         own = study.table("function_curves", name)
         caption = f"{title}: errors over what they depend on, mean and 90 % interval."
         blocks += [] if own.empty else [Figure(f"functions_{stem_of(name)}", caption, partial(_draw_functions, own))]
-    return Section("Errors that are functions", tuple(blocks))
+    return PageSection("Systematic sensor errors", tuple(blocks))
 
 
 def _draw_functions(curves: pd.DataFrame) -> Drawing:
     """Return a panel for each kind of sensor and input: errors with their 90 % intervals over what they depend on."""
     kinds: dict[tuple[str, str], list[str]] = {}
-    for sensor, of in dict.fromkeys(zip(curves["sensor"].astype(str), curves["of"].astype(str), strict=True)):
+    for sensor, of in dict.fromkeys(zip(curves["sensor"].astype(str), curves["input"].astype(str), strict=True)):
         kinds.setdefault((split_name(sensor)[0], of), []).append(sensor)
     n_rows = math.ceil(len(kinds) / 2)
     figure = Drawing(figsize=(9.4, 0.4 + 2.8 * n_rows))
     grid = figure.subplots(n_rows, 2, squeeze=False).ravel()
     for axes, ((kind, of), sensors) in zip(grid, kinds.items(), strict=False):
         for k, sensor in enumerate(sensors):
-            own, colour = curves[(curves["sensor"] == sensor) & (curves["of"] == of)], LEG_COLOURS[k % len(LEG_COLOURS)]
+            own, colour = (
+                curves[(curves["sensor"] == sensor) & (curves["input"] == of)],
+                LEG_COLOURS[k % len(LEG_COLOURS)],
+            )
             axes.fill_between(own["reading"], own["low"], own["high"], color=colour, alpha=0.2, linewidth=0.0)
             axes.plot(own["reading"], own["mean"], color=colour, label=set_parameter(sensor))
         unit = str(curves[curves["sensor"] == sensors[0]]["unit"].iloc[0])

@@ -20,7 +20,8 @@ from bayescal.experiments.shared.joints import MOST_POSES
 from bayescal.experiments.shared.machine_scene import AXES, build_line_scene, build_scene, read_joint_columns
 from bayescal.experiments.study.page.results import StudyResults
 from bayescal.experiments.study.page.styles import DEFORMATION_COLOURS, Styles, assign_styles
-from bayescal.report.blocks import Block, Column, Figure, Section, Statement, Table, make_table
+from bayescal.experiments.study.rows import PoseRow
+from bayescal.report.blocks import Block, Column, Figure, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import format_estimate, format_plain, format_significant
 from bayescal.report.scene import Scene, Triple
 from bayescal.report.style import GREY, INK, PALE, leg_colour
@@ -33,16 +34,16 @@ ONE_DIRECTION = math.radians(8.0)  # between points whose names would overlap
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")  # ten times faster than mathematical text
 ORANGE, BLUE, _ = DEFORMATION_COLOURS.values()
 NANOMETRES = 1e3  # in a micrometre
-SMALLEST = 1e-4  # nm: below, an error is that of the numbers themselves
+MIN_SHOWN_ERROR_NM = 1e-4  # nm: below, an error is that of the numbers themselves
 
 
-def show_machine(study: StudyResults) -> Section | None:
+def show_machine(study: StudyResults) -> PageSection | None:
     """Return the machine's joints or anchors where the variant to use has found them; None of other machines."""
     blocks: list[Block] = [scene for scene in (_build_joints(study), _build_lines(study)) if scene is not None]
     frame = study.geometry[study.geometry["leg"] > 0]
     if {symbol for *symbols, _ in HARDPOINTS for symbol in symbols} <= set(frame["symbol"]):
         blocks.append(_illustrate_joints(study))
-    return Section("The machine", tuple(blocks), anchor="joints", short="Machine") if blocks else None
+    return PageSection("The machine", tuple(blocks), anchor="joints", short="Machine") if blocks else None
 
 
 def _build_joints(study: StudyResults) -> Scene | None:
@@ -68,8 +69,8 @@ def _build_lines(study: StudyResults) -> Scene | None:
         [_take_triple(column, names) for names in wanted] for column in (rows["nominal"], moved, rows["sd"])
     )
     places = {"origin": (0.0, 0.0, 0.0)}
-    for row in study.rows("poses", study.chosen)[:MOST_POSES]:
-        places[f"pose {row['pose']}"] = (float(row["x_mm"]), float(row["y_mm"]), float(row["z_mm"]))
+    for row in study.rows(PoseRow, study.chosen)[:MOST_POSES]:
+        places[f"pose {row.pose}"] = (row.others["x_mm"], row.others["y_mm"], row.others["z_mm"])
     return build_line_scene(anchors, offsets, spreads, places)
 
 
@@ -92,8 +93,7 @@ def _illustrate_joints(study: StudyResults) -> Figure:
         f"The joints from above{study.cite('figures', name)}: black dots are nominal, markers the posterior "
         f"means{keys}, bars their standard deviations; moves and "
         f"deviations are magnified {format_plain(find_magnification(joints))} times. Full outline: base points a; "
-        f"dashed: platform points b. In mm: rms distance of the points from nominal.{several} A model that lacks "
-        "something real pushes the joints away from nominal to make up for it."
+        f"dashed: platform points b. In mm: rms distance of the points from nominal.{several}"
     )
     variants = {study.label_model(model): study.find(model) for model in models}
     return Figure(name, caption, partial(_draw_joints, joints, variants, assign_styles(study)))
@@ -240,7 +240,7 @@ def _group_by_azimuth(outline: pd.DataFrame) -> list[tuple[list[int], float]]:
 # --- flexures --------------------------------------------------------------------------------------------------------
 
 
-def show_flexure(study: StudyResults) -> Section | None:
+def show_flexure(study: StudyResults) -> PageSection | None:
     """Return how the end of the longest flexure moves; None where no model has flexures."""
     if not study.has("flexure"):
         return None
@@ -248,11 +248,10 @@ def show_flexure(study: StudyResults) -> Section | None:
     caption = (
         f"Displacement of a flexure joint of {format_plain(rows['flexure_length_mm'].iloc[0])} mm, bent by "
         f"δ{study.cite('figures', name)}. Left: the path of its end, shortening Δx against deflection Δy; "
-        "the scales differ, or else the paths were one line. Right: how far the circle and the ideal pivot lie from "
-        "the beam at the same Δy, logarithmic."
+        "the scales differ. Right: distance of circle and ideal pivot from the beam at the same Δy."
     )
     figure = Figure(name, caption, partial(draw_flexure, rows))
-    return Section("Flexure joint", (figure,), anchor="flexure", short="Flexure")
+    return PageSection("Flexure joint", (figure,), anchor="flexure", short="Flexure")
 
 
 def choose_flexure(flexure: pd.DataFrame) -> pd.DataFrame:
@@ -287,7 +286,7 @@ def draw_flexure(rows: pd.DataFrame) -> Drawing:
     bending = rows["bending_deg"]
     for column, colour, label in (("pivot_error_nm", ORANGE, "ideal pivot"), ("circle_error_nm", BLUE, "circle")):
         error = rows[column].abs()
-        shown = error >= SMALLEST
+        shown = error >= MIN_SHOWN_ERROR_NM
         right.plot(bending[shown], error[shown], color=colour, linewidth=1.6)
         if shown.any():
             last = float(error.iloc[-1])
@@ -306,28 +305,29 @@ def draw_flexure(rows: pd.DataFrame) -> Drawing:
 # --- deformation of the platform -------------------------------------------------------------------------------------
 
 
-def show_deformation(study: StudyResults) -> Section | None:
+def show_deformation(study: StudyResults) -> PageSection | None:
     """Return what targets at the joints show; None where there are none by design, on struts or without targets."""
-    if not study.has("ring") and (study.has_struts or "pose_extraction" not in study.summary):
+    if not study.has("joint_deflection") and (study.has_struts or "pose_extraction" not in study.summary):
         return None
     name = "deflections"
     caption = (
         "Deflection of each leg's platform joint out of the rigid platform against the displacement of the leg's "
         f"own actuator{study.cite('figures', name)}; full: calibration, open: verification; line: linear "
-        "fit κ. Error bars (1 sd) are often smaller than the dots. Scatter beyond them is what κ cannot describe: the "
-        "matrix K lets the other actuators in."
+        "fit κ; bars: 1 sd."
     )
     figure = Figure(name, caption, None, "the survey has no targets at the joints")
-    if study.has("ring"):
-        figure = Figure(name, caption, partial(_draw_deflections, study.table("ring"), study.table("deformation")))
+    if study.has("joint_deflection"):
+        figure = Figure(
+            name, caption, partial(_draw_deflections, study.table("joint_deflection"), study.table("deformation"))
+        )
     tables, statements = tabulate_deformation(study)
     blocks: list[Block] = [*statements, figure, *tables]
-    return Section("Deformation of the platform", tuple(blocks), anchor="deformation", short="Deformation")
+    return PageSection("Deformation of the platform", tuple(blocks), anchor="deformation", short="Deformation")
 
 
 def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Statement]]:
     """Return κ and K from the targets on the platform, and how well each describes the measured deflections."""
-    if not study.has("deformation") or not study.has("ring"):
+    if not study.has("deformation") or not study.has("joint_deflection"):
         return [], []
     frame = study.table("deformation")
     kappa = frame[frame["quantity"] == "kappa"].set_index("leg")
@@ -337,12 +337,12 @@ def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Stateme
             "Coefficient κ of each leg in the linear description Δb_z = κ Δρ"
             f"{study.cite('notation', 'kappa')}, mean ± sd.",
             [Column("", kind="symbol"), *(Column(f"leg {leg}", "10⁻³") for leg in kappa.index)],
-            [["kappa", *map(format_estimate, kappa["mean_1e-3"], kappa["sd_1e-3"])]],
+            [["kappa", *map(format_estimate, kappa["mean_permille"], kappa["sd_permille"])]],
         )
     ]
-    slopes = {"linear": np.diag(kappa["mean_1e-3"].to_numpy())}
+    slopes = {"linear": np.diag(kappa["mean_permille"].to_numpy())}
     if len(matrix):
-        mean, sd = (matrix.pivot(index="leg", columns="actuator", values=v) for v in ("mean_1e-3", "sd_1e-3"))
+        mean, sd = (matrix.pivot(index="leg", columns="actuator", values=v) for v in ("mean_permille", "sd_permille"))
         slopes["matrix"] = mean.to_numpy()
         tables.append(
             make_table(
@@ -353,7 +353,7 @@ def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Stateme
             )
         )
     statements = []
-    for use, rows in study.table("ring").groupby("use", sort=True):
+    for use, rows in study.table("joint_deflection").groupby("use", sort=True):
         travel, measured = (
             rows.pivot(index="pose", columns="leg", values=column).to_numpy()
             for column in ("actuator_displacement_mm", "deflection_um")
@@ -396,6 +396,6 @@ def _draw_leg(axes: Axes, rows: pd.DataFrame, kappa: pd.Series, leg: int) -> Non
         axes.vlines(travel, deflection - sd, deflection + sd, color=colour, linewidth=0.8)
         axes.plot(travel, deflection, "o", markersize=4, color=fill, markeredgecolor=colour)
     ends = np.array([rows["actuator_displacement_mm"].min(), rows["actuator_displacement_mm"].max()])
-    axes.plot(ends, kappa["mean_1e-3"] * ends, color=INK, linewidth=1.3)  # 1e-3 mm per mm is µm per mm
-    axes.set_title(f"Leg {leg}: κ = ({format_estimate(kappa['mean_1e-3'], kappa['sd_1e-3'])})·10⁻³")
+    axes.plot(ends, kappa["mean_permille"] * ends, color=INK, linewidth=1.3)  # 1e-3 mm per mm is µm per mm
+    axes.set_title(f"Leg {leg}: κ = ({format_estimate(kappa['mean_permille'], kappa['sd_permille'])})·10⁻³")
     axes.grid()

@@ -16,20 +16,22 @@ from matplotlib.patches import Patch
 
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
 from bayescal.experiments.shared.origin import name_origin
-from bayescal.experiments.study.page.results import NOISE, VARIANT, StudyResults, name_some
+from bayescal.experiments.study.page.results import NOISE, VARIANT, StudyResults
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
-from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, Section, Statement, Table, make_table
+from bayescal.experiments.study.rows import ParameterRow, PublishedParameterRow
+from bayescal.report.blocks import Block, Cell, Column, Figure, Fold, Heading, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import (
-    NOTHING,
+    NO_VALUE,
     count_decimals,
     format_estimate,
     format_fixed,
     format_significant,
     format_span,
+    name_some,
 )
 from bayescal.report.style import GREY, INK, PALE
 from bayescal.report.symbols import (
-    Asked,
+    ChosenUnits,
     describe_deformation,
     is_model_error,
     quote,
@@ -40,37 +42,23 @@ from bayescal.report.symbols import (
 )
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
-CONTRACTION = (
-    "Contraction is the share of the prior variance that the data removed, 1 − (sd / tolerance)²: at 0 nothing is "
-    "learnt, at 0.75 the uncertainty is halved, at 1 the parameter is known."
-)
+CONTRACTION = "Contraction: 1 − (posterior sd / prior sd)²; 0.75: uncertainty halved."
 VERDICTS = {
     "identifiable": "uncertainty at least halved",
     "weak": "not halved",
     "not": "not determined",
     "several": "several values",
 }
-PUBLISHED = (
-    "Published values differ from the posteriors by construction: they come from least squares with all poses "
-    "weighted alike, without tolerances and without model error, on the data of the publication. The posteriors "
-    "weigh every pose by its covariance, use the tolerances as priors and leave room for a model error. These data: "
-    "{origin}. A published value outside an interval contradicts nothing, unless the data were made from that very "
-    "table."
-)
-FRAMES = (
-    "Where the instrument's frame lies against the base and the probe's against the platform was not known; both were "
-    "found with the machine. A frame and the joints that move with it are distinguished by their tolerances alone, so "
-    "that a frame may stay as uncertain as before though every pose is predicted well."
-)
+PUBLISHED = "Published values: least squares without priors and model error. Data here: {origin}."
 LENGTH = "mm"
 ODD = 0.25  # of the other models' values, below which a published row looks misprinted
 MISPRINT = 10.0
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
-MANY = 8  # symbols from which the panels are three in a row
+PANELS_OF_THREE_FROM = 8  # symbols from which the panels are three in a row
 MOST_NAMED = 25  # parameters with a name each below an axis, legible on a telephone too
 
 
-def show_parameters(study: StudyResults) -> Section:
+def show_parameters(study: StudyResults) -> PageSection:
     """Return the posterior of the parameters: leg by leg where they are of legs, and one by one."""
     title, blocks = "Parameters", list[Block]()
     published = tabulate_published(study)
@@ -78,20 +66,19 @@ def show_parameters(study: StudyResults) -> Section:
         title += " and published tables"
         blocks += [published, PUBLISHED.format(origin=name_origin(study.summary["origin"]).rstrip("."))]
     blocks += _show_members(study) if study.has_members else _show_each(study)
-    return Section(title, tuple(blocks), anchor="parameters", short="Parameters")
+    return PageSection(title, tuple(blocks), anchor="parameters", short="Parameters")
 
 
 def state_undetermined(study: StudyResults) -> list[Statement]:
     """Say of which parameters the data do not halve the uncertainty."""
-    rows = [row for row in study.rows("parameters", study.chosen) if row["verdict"] != NOISE]
-    weak = [str(row["parameter"]) for row in rows if row["verdict"] not in ("identifiable", "several")]
-    if not weak and any(row["verdict"] == "several" for row in rows):
+    rows = [row for row in study.rows(ParameterRow, study.chosen) if row.verdict != NOISE]
+    weak = [row.parameter for row in rows if row.verdict not in ("identifiable", "several")]
+    if not weak and any(row.verdict == "several" for row in rows):
         return []  # what is said of the solutions says it
     if not weak:
         return [Statement("The uncertainty of every free parameter is at least halved.", "good", "Parameters")]
-    it = "it is" if len(weak) == 1 else "they are"
-    text = f"{name_some(weak)}: uncertainty not halved; {it} poorly determined by these data."
-    return [Statement(text, "warning", "Parameters")]
+    text = f"{name_some(weak)}: uncertainty not halved by these data."
+    return [Statement(text, "warning", "Parameters", value=float(len(weak)), limit=0.0)]
 
 
 # --- one by one ------------------------------------------------------------------------------------------------------
@@ -108,21 +95,21 @@ def _tabulate_each(study: StudyResults) -> Table:
     columns = [Column("Parameter", kind="text"), Column("Unit", kind="text"), Column("Nominal"), Column("Tolerance")]
     columns += [Column("Posterior, mean ± sd"), Column("90 % interval"), Column("Contraction"), Column("Verdict")]
     rows: list[list[str | Cell]] = []
-    for row in study.rows("parameters", study.chosen):
-        if study.list_terms(study.chosen) and is_model_error(split_name(str(row["parameter"]))[0]):
+    for row in study.rows(ParameterRow, study.chosen):
+        if study.list_terms(study.chosen) and is_model_error(split_name(row.parameter)[0]):
             continue  # it has a section of its own
-        factor, unit = study.shown_in(row["unit"])
-        low, high = (format_significant(factor * row[end], 5) for end in ("q05", "q95"))
-        verdict = str(row["verdict"])
+        factor, unit = study.shown_in(row.unit)
+        low, high = (format_significant(factor * end, 5) for end in (row.q05, row.q95))
+        verdict = row.verdict
         rows.append(
             [
-                str(row["parameter"]),
+                row.parameter,
                 unit,
-                format_significant(factor * row["nominal"], 6),
-                format_significant(factor * row["prior_sd"], 3),
-                format_estimate(factor * row["mean"], factor * row["sd"]),
+                format_significant(factor * row.nominal, 6),
+                format_significant(factor * row.prior_sd, 3),
+                format_estimate(factor * row.mean, factor * row.sd),
                 f"{low} to {high}",
-                format_fixed(row["contraction"], 2),
+                format_fixed(row.contraction, 2),
                 Cell("" if verdict == NOISE else VERDICTS[verdict], VERDICT_LEVELS[verdict]),
             ]
         )
@@ -234,7 +221,7 @@ def _list_lines(
         legs[0] if single else leg: format_estimate(factor * (mean - nominal), factor * sd, places, sign=True)
         for leg, mean, nominal, sd in posterior[["leg", "mean", "nominal", "sd"]].itertuples(index=False)
     }
-    lines = [("posterior mean ± sd" + (" (machine)" if single else ""), [estimates.get(leg, NOTHING) for leg in legs])]
+    lines = [("posterior mean ± sd" + (" (machine)" if single else ""), [estimates.get(leg, NO_VALUE) for leg in legs])]
     for label, column in (
         ("least squares", "offset"),
         ("published", "published_offset"),
@@ -273,7 +260,7 @@ def _tabulate_contraction(study: StudyResults) -> Table:
     columns = [Column("", kind="symbol")]
     columns += [Column(study.label(name), group=f"mean over {study.member}s (least)") for name in study.ranking]
     symbols = dict.fromkeys(map(str, frame["symbol"]))
-    rows = [[symbol, *(cells.get((name, symbol), NOTHING) for name in study.ranking)] for symbol in symbols]
+    rows = [[symbol, *(cells.get((name, symbol), NO_VALUE) for name in study.ranking)] for symbol in symbols]
     return make_table("Contraction of the parameters.", columns, rows, [Statement(CONTRACTION)])
 
 
@@ -296,10 +283,12 @@ def _illustrate(study: StudyResults) -> Figure:
     return Figure("parameters", caption, draw)
 
 
-def _draw_parameters(rows: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: Asked, member: str) -> Drawing:
+def _draw_parameters(
+    rows: pd.DataFrame, published: pd.DataFrame, styles: Styles, asked: ChosenUnits, member: str
+) -> Drawing:
     """Return the 90 % posterior intervals of the geometry, as offsets from nominal, a panel per symbol."""
     symbols = list(dict.fromkeys(rows["symbol"]))
-    n_columns = 2 if len(symbols) <= MANY else 3
+    n_columns = 2 if len(symbols) <= PANELS_OF_THREE_FROM else 3
     n_rows = math.ceil(len(symbols) / n_columns)
     figure = Drawing(figsize=(9.4, 0.5 + 1.7 * n_rows))
     grid = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
@@ -369,17 +358,17 @@ class Published(NamedTuple):
 
 def compare_published(study: StudyResults, variant: str) -> Published | None:
     """Compare one variant's least squares and posterior with the published values, if any."""
-    rows = study.table("least_squares", variant)
-    published = rows[rows["published_offset"].notna()]
-    if published.empty:
+    rows = study.rows(PublishedParameterRow, variant)
+    published = [row for row in rows if math.isfinite(row.published_offset)]
+    if not published:
         return None
-    lengths = rows[(rows["unit"] == LENGTH) & rows["difference"].notna()]["difference"]
-    parameters = {str(row["parameter"]): row for row in study.rows("parameters", variant)}
+    lengths = [row.difference for row in rows if row.unit == LENGTH and math.isfinite(row.difference)]
+    parameters = {row.parameter: row for row in study.rows(ParameterRow, variant)}
     inside = []
-    for row in published.itertuples():
-        one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(str(row.parameter))
+    for row in published:
+        one = parameters.get(f"{row.parameter}[{row.leg}]") or parameters.get(row.parameter)
         if one is not None:
-            inside.append(one["q05"] <= one["nominal"] + row.published_offset <= one["q95"])
+            inside.append(one.q05 <= one.nominal + row.published_offset <= one.q95)
     return Published(_measure_rms(lengths), len(lengths), sum(inside), len(inside))
 
 
@@ -468,7 +457,7 @@ def _remark(study: StudyResults, name: str, symbol: str, shares: list[float], ro
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def show_frames(study: StudyResults) -> Section | None:
+def show_frames(study: StudyResults) -> PageSection | None:
     """Return the frames found, and what was known of them; None where all were known."""
     rows = study.frames
     if rows.empty:
@@ -486,4 +475,4 @@ def show_frames(study: StudyResults) -> Section | None:
             mean, sd = (factor * float(chosen[value].get(name, math.nan)) for value in ("mean", "sd"))
             cells[name].append(format_estimate(mean, sd, places, sign=True))
     caption = "Frames found, posterior mean ± sd; displacements along and rotation vectors about the axes."
-    return Section("Frames", (FRAMES, make_table(caption, columns, [*cells.values(), before])), anchor="frames")
+    return PageSection("Frames", (make_table(caption, columns, [*cells.values(), before]),), anchor="frames")

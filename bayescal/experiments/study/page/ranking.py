@@ -12,14 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from bayescal.experiments.shared.headline import describe_candidate, order_candidates, say_named_first
+from bayescal.experiments.shared.headline import describe_candidate, order_candidates
+from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.study.page.evidence import format_evidence
-from bayescal.experiments.study.page.results import USES, VARIANT, ErrorScale, StudyResults, get_number
+from bayescal.experiments.study.page.results import VARIANT, ErrorScale, StudyResults, get_number
 from bayescal.experiments.study.page.styles import LONG, Styles, assign_styles
 from bayescal.limits import PARETO_K_LIMIT
-from bayescal.report.blocks import Block, Cell, Column, Figure, Section, Statement, Table, make_table
+from bayescal.report.blocks import Block, Cell, Column, Figure, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import (
-    NOTHING,
+    NO_VALUE,
     format_estimate,
     format_fixed,
     format_pair,
@@ -30,32 +31,23 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.style import PALE
 
-TEXT = (
-    "Log-evidence in nats: a difference of 1 nat is odds of 2.7 to 1, 5 nats of 150 to 1; it is compared between "
-    "variants of the same data. elpd is the log density that the posterior gives to poses it has not seen: each pose "
-    "left out in turn (LOO), or poses held back. “From nominal” is how far the identified geometry moved: rms of all "
-    "lengths, and rms in units of the stated tolerances along the directions that the data determine."
-)
-STACKING = (
-    "Stacking weighs the variants so that their mixture predicts left-out poses best; a small weight means that a "
-    "variant adds nothing to the others, not that it is wrong."
-)
+STACKING = "Stacking weight: share in the mixture of variants that predicts left-out poses best."
 NOT_COMPARED = "Variants that are not ranked did not converge: their log-evidence is not compared."
 THICKNESS = 0.62
 
-type Found = list[tuple[Column, str | Cell]]
+type NamedCells = list[tuple[Column, str | Cell]]
 
 
-def show_ranking(study: StudyResults) -> Section:
+def show_ranking(study: StudyResults) -> PageSection:
     """Return the variants, the best first, with what they add to each other."""
-    blocks: list[Block] = [TEXT]
+    blocks = list[Block]()
     if len(study.ranking) > 1 or study.error_scales:
         blocks.append(_illustrate(study))
     blocks.append(tabulate_ranking(study))
     effects = tabulate_effects(study)
     blocks += [] if effects is None else [effects]
     title = "Ranking" if len(study.names) > 1 else "The variant"
-    return Section(title, tuple(blocks), anchor="ranking", short="Ranking")
+    return PageSection(title, tuple(blocks), anchor="ranking", short="Ranking")
 
 
 def tabulate_ranking(study: StudyResults) -> Table:
@@ -70,35 +62,38 @@ def tabulate_ranking(study: StudyResults) -> Table:
         for rank, name in enumerate((one.name for one in order_candidates(candidates)), start=1):
             apart = fits[name]["log_evidence"] - highest
             behind = _compare(fits[name], apart, best) if several else []
-            found: Found = [(Column("Rank"), str(rank) if fits[name]["converged"] else "not ranked")] if several else []
+            found: NamedCells = (
+                [(Column("Rank"), str(rank) if fits[name]["converged"] else "not ranked")] if several else []
+            )
             found += _describe(study, name, fits[name], behind)
             columns = [column for column, _ in found]
             rows.append([cell for _, cell in found])
     caption = "Variants, best first." if several else "Variant."
     notes = [Statement(STACKING)] if several else []
-    if any(fit["loo_unreliable"] for fit in study.fits.values()):
-        text = f"(n) n poses with Pareto k above {PARETO_K_LIMIT} that no run left out: elpd LOO is unreliable."
+    if any(fit["n_loo_bad_k"] for fit in study.fits.values()):
+        text = f"(n): n poses with Pareto k > {PARETO_K_LIMIT}; elpd LOO unreliable."
         notes.append(Statement(text, "warning"))
-    notes += [*_state_order(study), *_state_names(study)]
+    notes += [] if len(study.compared) == len(study.ranking) else [Statement(NOT_COMPARED, "warning")]
+    notes += _state_names(study)
     return make_table(caption, columns, rows, notes, "wide")
 
 
-def _compare(fit: dict[str, Any], behind: float, best: float) -> Found:
+def _compare(fit: dict[str, Any], behind: float, best: float) -> NamedCells:
     """Return how far one of several variants is behind the best, in evidence, then by LOO; dashes if not converged."""
     error, compared = fit["elpd_loo_difference_se"], fit["converged"]
     loo = format_fixed(0.0, 1) if fit["elpd_loo"] == best else format_estimate(fit["elpd_loo"] - best, error, 1)
     return [
-        (Column("behind the best", "nat", "Log-evidence"), format_fixed(behind, 1) if compared else NOTHING),
-        (Column("behind the best", "nat", "elpd LOO"), loo if compared else NOTHING),
+        (Column("behind the best", "nat", "Log-evidence"), format_fixed(behind, 1) if compared else NO_VALUE),
+        (Column("behind the best", "nat", "elpd LOO"), loo if compared else NO_VALUE),
         (Column("stacking weight", "%", "elpd LOO"), format_percent(fit["stacking_weight"]).rstrip(" %")),
     ]
 
 
-def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found) -> Found:
+def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: NamedCells) -> NamedCells:
     """Return what one variant has, and how far it is ``behind`` the best where there are several."""
-    bad = int(fit["loo_unreliable"])
+    bad = int(fit["n_loo_bad_k"])
     loo = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)
-    found: Found = [
+    found: NamedCells = [
         (VARIANT, study.label(name)),
         (Column("Free"), str(fit["n_parameters"])),
         (Column("", "nat", "Log-evidence"), format_evidence(fit["log_evidence"], fit["log_evidence_se"])),
@@ -108,7 +103,7 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     ]
     if any(get_number(one, "elpd") == get_number(one, "elpd") for one in study.fits.values()):
         found.append((Column("elpd held back", "nat"), format_fixed(get_number(fit, "elpd"), 1)))
-    found.append((Column("Residual / noise"), format_significant(get_number(fit, "misfit"), 2)))
+    found.append((Column("Residual / noise"), format_significant(get_number(fit, "reduced_chi"), 2)))
     for scale in study.error_scales:
         for use in USES if study.n_verification else USES[:1]:
             found.append((Column(use, scale.unit, f"{scale.title}, mean / max"), scale.format_both(fit[use])))
@@ -119,16 +114,8 @@ def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: Found
     found.append((Column("", "tolerances", group), tolerances))
     found.append((Column("Checks", kind="text"), Cell("passed") if fit["converged"] else Cell("FAILED", "bad")))
     if len(study.summary["rankings"]) > 1:
-        found.append((Column("Readings", kind="name"), str(fit["data"])))
+        found.append((Column("Readings", kind="name"), str(fit["data_set"])))
     return found
-
-
-def _state_order(study: StudyResults) -> list[Statement]:
-    """Say why rows are not in the order of their evidences, and which are not compared."""
-    candidates = study.candidates()
-    said = say_named_first(candidates)
-    found = [Statement(f"{said}; these fit equally well.")] if said else []
-    return found if len(study.compared) == len(candidates) else [*found, Statement(NOT_COMPARED, "warning")]
 
 
 def _state_names(study: StudyResults) -> list[Statement]:
@@ -166,24 +153,20 @@ def tabulate_effects(study: StudyResults) -> Table | None:
 
     def subtract(one: tuple[str, str], other: tuple[str, str]) -> str:
         known = one in value and other in value
-        return format_fixed(value[one] - value[other], 1, sign=True) if known else NOTHING
+        return format_fixed(value[one] - value[other], 1, sign=True) if known else NO_VALUE
 
     below = {pair: f"{format_fixed(value[pair] - top, 1)} {letters[name]}" for pair, name in own.items()}
     rows = [
         [
             study.label_model(m),
-            *(below.get((m, d), NOTHING) for d in deformations),
+            *(below.get((m, d), NO_VALUE) for d in deformations),
             *(subtract((m, best), (m, d)) for d in deformations if d != best),
-            *(subtract((m, d), (first, d)) if m != first else NOTHING for d in deformations),
+            *(subtract((m, d), (first, d)) if m != first else NO_VALUE for d in deformations),
         ]
         for m in models
     ]
-    note = (
-        "Variants of one letter fit equally well: within 1 nat, or within twice the error of the estimates, of the "
-        "best of their letter."
-    )
-    if study.free_sets:
-        note += " Of several free sets of one model and deformation the best one is shown."
+    note = "Variants of one letter fit equally well."
+    note += " Of several free sets the best one is shown." if study.free_sets else ""
     return make_table("Log-evidence by model and deformation.", columns, rows, [Statement(note)])
 
 
@@ -197,13 +180,9 @@ def _illustrate(study: StudyResults) -> Figure:
     groups = [*study.group(study.ranking), *([failed] if failed else [])]
     best = max((study.evidence(name) for name in study.compared), default=math.nan)
     behind = {name: best - study.evidence(name) if name in study.compared else math.nan for name in study.ranking}
-    caption = "How far each variant's log-evidence lies below the best one, logarithmic beyond 1 nat."
+    caption = "Log-evidence below the best variant, logarithmic beyond 1 nat."
     if scales:
-        caption = (
-            f"Left: {caption[0].lower()}{caption[1:]} Right: errors of the posterior mean prediction on the {use} "
-            "poses; full bar: mean, pale bar: largest, both as numbers. Position error is the distance between "
-            "measured and predicted position, orientation error the angle between measured and predicted orientation."
-        )
+        caption = f"Left: {caption} Right: errors on the {use} poses; full bar: mean, pale bar: largest."
     if len(groups) > 1:
         caption += " A shared band joins variants that fit equally well."
     errors = {(name, scale.what): scale.read_both(study.fit(name)[use]) for name in study.ranking for scale in scales}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import NUMBER, SUMMARY_FILE, Kinds, Results, Row, check_keys, list_rows
+from bayescal.experiments.runner.results import NUMBER, SUMMARY_FILE, Kinds, Results, check_keys
 from bayescal.experiments.shared.headline import (
     Candidate,
     choose_best,
@@ -25,13 +26,16 @@ from bayescal.experiments.shared.headline import (
     read_rows,
 )
 from bayescal.experiments.shared.knowledge_page import is_aligned
+from bayescal.experiments.shared.posterior_files import MODE, name_file
+from bayescal.experiments.shared.rows import USES, ModelErrorRow
 from bayescal.experiments.shared.study_schema import stem_of
-from bayescal.experiments.shared.trees import MODE, name_file
+from bayescal.experiments.study.rows import REQUIRED, ROWS, ParameterRow, RequirementResultRow, VariantRow
+from bayescal.files.rows import TableRow, check_tables
 from bayescal.report.blocks import Column
-from bayescal.report.numbers import MICROMETRES, format_pair, join_words
+from bayescal.report.numbers import MICROMETRES, format_pair, name_some
 from bayescal.report.symbols import (
     OF_FUNCTIONS,
-    Asked,
+    ChosenUnits,
     choose_error_unit,
     describe_deformation,
     name_parameter,
@@ -44,19 +48,17 @@ if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 VARIANT = Column("Variant", kind="name")
-INDEPENDENT, TOGETHER = "independent", "together"
+RANDOM_TERM = "random"
 ALL = "all"
 """What requirements are called together."""
-TERMS = (INDEPENDENT, "linear", "own", "smooth", "drift")
+TERMS = (RANDOM_TERM, "linear", "positioning", "smooth", "drift")
 """Of a model error; all but the first are systematic, and together they have a size, too."""
-USES = ("calibration", "verification")
 SOLUTIONS = "solutions"
 """Rows of ``parameters`` of variants with several solutions, of all of these; ``parameters`` keeps the first."""
 NOISE = "noise"
 """Verdict on parameters that are none of the machine's."""
-MANY = 8  # names beyond which the others are counted
+MAX_SOLUTIONS = 8  # of a variant that are shown
 FRAME = re.compile(r"(base[1-9]?|tool)_r?[xyz]")
-VERDICTS = ("holds", "does not hold", "not testable")
 PUBLICATION_KEYS: dict[str, Kinds] = {"source": str, "citation": str, "figures": dict, "notation": dict}
 
 SUMMARY_KEYS: dict[str, Kinds] = {
@@ -64,49 +66,14 @@ SUMMARY_KEYS: dict[str, Kinds] = {
     **dict.fromkeys(("origin", "units", "n_poses", "variants"), dict),
     "rankings": list,
 }
+KINDS: dict[type, Kinds] = {str: str, bool: bool, float: NUMBER, int: NUMBER}
 ROW_KEYS: dict[str, Kinds] = {
-    **dict.fromkeys(("title", "data", "problems", "log_evidence_by"), str),
-    **dict.fromkeys(("n_parameters", "log_evidence", "log_evidence_se"), NUMBER),
-    **dict.fromkeys(("log_evidence_importance", "log_evidence_bridge", "efficiency", "pareto_k"), NUMBER),
-    **dict.fromkeys(("elpd_loo", "elpd_loo_se", "loo_unreliable", "loo_refitted", "loo_pareto_k_max"), NUMBER),
-    **dict.fromkeys(("misfit_chi2", "misfit_dof", "pulls_chi2", "pulls_dof"), NUMBER),
-    **dict.fromkeys(("rhat_max", "ess_bulk_min", "ess_tail_min"), NUMBER),
-    "converged": bool,
+    one.name: KINDS[one.kind] for one in VariantRow.list_columns() if not one.is_optional and one.name != "variant"
 }
-COLUMNS: dict[str, tuple[str, str]] = {
-    "parameters": ("variant parameter unit verdict", "nominal prior_sd mean sd q05 q95 contraction"),
-    "poses": ("variant pose", "elpd_loo pareto_k refitted equations square trust contradicting"),
-    "pose_errors": (
-        "variant pose use",
-        "position_error_mm position_bound_95_mm orientation_error_deg orientation_bound_95_deg",
-    ),
-    "predictions": ("variant pose channel unit", "measured mean sd inside"),
-    "not_predicted": ("variant pose channel why", ""),
-    "tool_predictions": ("variant pose channel", "inside"),
-    "sensitivity": ("variant", "factor log_evidence pareto_k"),
-    "tau_scale": ("variant", "own_um tau_scale_um log_evidence pareto_k"),
-    "least_squares": ("variant parameter unit", "leg offset published_offset difference leg_residual_rms_um converged"),
-    "ring": ("pose use", "leg actuator_displacement_mm deflection_um deflection_sd_um"),
-    "deformation": ("quantity", "leg actuator mean_1e-3 sd_1e-3"),
-    "flexure": ("", "flexure_length_mm bending_deg along_beam_um circle_error_nm"),
-    "joints": ("pose joint", "leg x_mm y_mm z_mm"),
-    "model_error": ("variant term", "median_um q05_um q95_um"),
-    "model_error_members": ("variant member term", "rms_um"),
-    "model_error_poses": ("variant pose use member", "mean_um low_um high_um"),
-    "model_error_alone": ("variant term", "log_odds median_um q05_um q95_um"),
-    "claims": ("claim section statement expected found unit verdict why", "value"),
-    "accuracy": ("variant coordinate unit", "before after noise"),
-    "before_after": ("variant pose use", "before_mm after_mm"),
-    "requirements": ("variant requirement unit", "limit limit_inner error probability"),
-    "ridges": ("variant parameter sentence", "contraction"),
-    "next": ("variant sensors", "gain"),
-    "beside": ("variant beside quantity unit", "mean sd value value_sd"),
-    "functions": ("variant sensor of", "present rms"),
-    "function_curves": ("variant sensor", "reading mean low high"),
-}
-"""Columns of texts and of numbers of tables that pages read; a table of another name belongs to whoever reads it."""
-REQUIRED = ("parameters", "poses")
-OF_ERRORS = ("model_error", "model_error_members", "model_error_poses", "model_error_alone", "tau_scale")
+"""Keys of a variant in the summary: the columns of its table."""
+
+NAMES = {row.table: row.list_names() for row in ROWS}
+"""Columns of a study's tables."""
 
 
 class ErrorScale(NamedTuple):
@@ -178,8 +145,6 @@ class StudyResults:
         every = tables["parameters"]
         if "mode" in every:  # NaN of variants with a single solution
             tables |= {"parameters": every[~(every["mode"] > 1)], SOLUTIONS: every[every["mode"].notna()]}
-        if (factor := choose_error_unit(results.summary.get("model_error_in"))[0]) != 1.0:
-            tables |= {name: _scale_columns(tables[name], factor) for name in OF_ERRORS if name in tables}
         found = cls(summary, results.config, tables)
         if results.folder is None:
             return found
@@ -205,12 +170,16 @@ class StudyResults:
 
     def table(self, name: str, variant: str | None = None) -> pd.DataFrame:
         """Return a table, or a variant's rows of it; without rows where there is none."""
-        table = self.tables.get(name, pd.DataFrame(columns=" ".join(COLUMNS.get(name, ())).split()))
+        table = self.tables.get(name, pd.DataFrame(columns=NAMES.get(name, ())))
         return table if variant is None else table[table["variant"] == variant]
 
-    def rows(self, name: str, variant: str | None = None) -> list[Row]:
-        """Return the same row by row."""
-        return list_rows(self.table(name, variant))
+    def rows[R: TableRow](self, row: type[R], variant: str | None = None) -> list[R]:
+        """Return the rows of a table, or a variant's; those of its first solution where there are several."""
+        return row.read(self.table(row.table, variant))
+
+    def list_solutions(self, variant: str) -> list[ParameterRow]:
+        """Return the parameters of all solutions of a variant that has several."""
+        return ParameterRow.read(self.table(SOLUTIONS, variant))
 
     # --- variants ------------------------------------------------------------------------------------------------
 
@@ -312,8 +281,8 @@ class StudyResults:
         own = any(name in self.own_names for name in names)
         if len(set(deformations)) == 1 and len(names) > 1 and all(models) and not own:
             words = [self.label_model(model) for model in models]
-            return f"{join_words(words, between)} {describe_deformation(deformations[0])}"
-        return join_words([self.label(name) for name in names], between)
+            return f"{name_some(words, between)} {describe_deformation(deformations[0])}"
+        return name_some([self.label(name) for name in names], between)
 
     # --- what their evidence says ----------------------------------------------------------------------------------
 
@@ -323,7 +292,7 @@ class StudyResults:
 
     def list_terms(self, name: str) -> list[str]:
         """Return the terms of a variant's model error."""
-        there = {str(row["term"]) for row in self.rows("model_error", name)}
+        there = {row.term for row in self.rows(ModelErrorRow, name)}
         return [term for term in TERMS if term in there]
 
     def spread(self, names: Sequence[str]) -> float:
@@ -369,7 +338,7 @@ class StudyResults:
         return f" ({after}{self.summary['publication']['source']} {place})" if place else ""
 
     @property
-    def units(self) -> Asked:
+    def units(self) -> ChosenUnits:
         """Units of lengths and angles on the page."""
         found: dict[str, str] = self.summary["units"]
         return found
@@ -435,8 +404,8 @@ class StudyResults:
     @property
     def required(self) -> dict[str, float]:
         """Probability of the variant to use to keep each requirement, and of ``""``: all; empty without any."""
-        rows = self.rows("requirements", self.chosen)
-        return {"" if row["requirement"] == ALL else str(row["requirement"]): row["probability"] for row in rows}
+        rows = self.rows(RequirementResultRow, self.chosen)
+        return {"" if row.requirement == ALL else row.requirement: row.probability for row in rows}
 
     @property
     def aligned(self) -> bool:
@@ -445,7 +414,7 @@ class StudyResults:
 
     @property
     def error_factor(self) -> float:
-        """How many of the unit in which sizes of the model error are shown make a µm."""
+        """How many of the unit in which sizes of the model error are shown make a µm of the config."""
         return choose_error_unit(self.summary.get("model_error_in"))[0]
 
     @property
@@ -456,7 +425,7 @@ class StudyResults:
     @property
     def tau_scale(self) -> float | None:
         """Scale of the prior of the variant to use's τ, in that unit; None where it has no τ."""
-        own = self.table("tau_scale", self.chosen)["own_um"]
+        own = self.table("tau_scale", self.chosen)["prior_scale"]
         return float(own.iloc[0]) if len(own) else None
 
     # --- parameters ----------------------------------------------------------------------------------------------
@@ -488,11 +457,6 @@ class StudyResults:
         return table.assign(symbol=[symbol for symbol, _ in split], leg=[leg for _, leg in split])
 
 
-def _scale_columns(table: pd.DataFrame, factor: float) -> pd.DataFrame:
-    """Return a table whose columns of µm are multiplied by a factor."""
-    return table.assign(**{name: factor * table[name] for name in table.columns if str(name).endswith("_um")})
-
-
 def _find_posterior(folder: Path, variant: str) -> Path:
     own = folder / "posterior" / f"{stem_of(variant)}.nc"
     return own if own.is_file() else folder / name_file(variant)
@@ -500,7 +464,7 @@ def _find_posterior(folder: Path, variant: str) -> Path:
 
 def _read_modes(folder: Path, variant: str) -> np.ndarray | None:
     """Return to which solution each draw (S,) belongs, from 1; None where there is one."""
-    with h5py.File(_find_posterior(folder, variant), "r") as file:
+    with h5py.File(io.BytesIO(_find_posterior(folder, variant).read_bytes()), "r") as file:
         stats = file.get("sample_stats")
         return np.asarray(stats[MODE]).ravel() if stats is not None and MODE in stats else None
 
@@ -515,7 +479,7 @@ def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
         return None
     draws: dict[str, Array] = {}
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(io.BytesIO(path.read_bytes()), "r") as file:
             for symbol, values in file["posterior"].items():
                 if values.ndim < 2 or symbol in OF_FUNCTIONS:
                     continue  # coordinates; scale and length of an error, not of the machine
@@ -530,28 +494,12 @@ def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
 
 
 def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
-    """Raise InputError where a table lacks a column or holds text in one of numbers."""
+    """Raise InputError where a table that every study has is not there, or one is not as its rows are declared."""
     folder = results / "tables" if (results / "tables").is_dir() else results
-    for name in REQUIRED:
-        if name not in tables:
-            raise InputError(f"{folder / name}.csv: found no rows, expected a study's table")
-    for name in [one for one in COLUMNS if one in tables]:
-        texts, numbers = (columns.split() for columns in COLUMNS[name])
-        for column in (*texts, *numbers):
-            if column not in tables[name].columns:
-                wanted = ", ".join((*texts, *numbers))
-                raise InputError(f"{folder / name}.csv: found no column {column!r}, expected {wanted}")
-        for column in numbers:
-            if not pd.api.types.is_numeric_dtype(tables[name][column]):  # flags are numeric too
-                raise InputError(f"{folder / name}.csv: column {column!r}: found text, expected numbers")
-    for row in list_rows(tables["model_error"]) if "model_error" in tables else ():
-        if row["term"] not in (*TERMS, TOGETHER):
-            wanted = f"found {row['term']!r}, expected one of {', '.join((*TERMS, TOGETHER))}"
-            raise InputError(f"{folder / 'model_error.csv'}: variant {row['variant']}: term: {wanted}")
-    for row in list_rows(tables["claims"]) if "claims" in tables else ():
-        if row["verdict"] not in VERDICTS:
-            wanted = f"found {row['verdict']!r}, expected one of {', '.join(VERDICTS)}"
-            raise InputError(f"{folder / 'claims.csv'}: claim {row['claim']}: verdict: {wanted}")
+    for row in REQUIRED:
+        if row.table not in tables:
+            raise InputError(f"{folder / row.table}.csv: found no rows, expected a study's table")
+    check_tables(ROWS, tables, folder)
 
 
 def _check_summary(summary: dict[str, Any], path: Path) -> None:
@@ -576,9 +524,3 @@ def get_number(content: Mapping[str, Any], key: str) -> float:
     """Return a number that may be missing, NaN then."""
     value = content.get(key)
     return float(value) if isinstance(value, NUMBER) else math.nan
-
-
-def name_some(names: Sequence[str]) -> str:
-    """Return names as words, of many the first and how many more there are."""
-    more = [f"{len(names) - MANY} more"] if len(names) > MANY else []
-    return join_words([*names[:MANY], *more])

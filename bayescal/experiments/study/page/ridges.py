@@ -13,10 +13,11 @@ from matplotlib.figure import Figure as Drawing
 
 from bayescal.experiments.shared import knowledge_page
 from bayescal.experiments.study.page.results import FRAME, NOISE, VARIANT, StudyResults
-from bayescal.report.blocks import Block, Column, Figure, Fold, Section, Statement, make_table
-from bayescal.report.numbers import NOTHING, format_fixed, join_words
+from bayescal.experiments.study.rows import ParameterRow
+from bayescal.report.blocks import Block, Column, Figure, Fold, PageSection, Statement, make_table
+from bayescal.report.numbers import NO_VALUE, format_fixed, join_words
 from bayescal.report.style import INK
-from bayescal.report.symbols import MODEL_ERROR, set_mathematics, split_name, write_symbol
+from bayescal.report.symbols import MODEL_ERROR, set_mathematics, split_name
 
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
@@ -26,10 +27,10 @@ SHOWN_RIDGES = 8
 NO_PAIRS = "Correlations within a {}."
 RETAINED, REMOVED = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
 SHOWN_DRAWS = 1500
-FEW = 10  # parameters of which the correlations are written as numbers
+MAX_NUMBERED_CORRELATIONS = 10  # parameters of which the correlations are written as numbers
 
 
-def show_ridges(study: StudyResults) -> Section | None:
+def show_ridges(study: StudyResults) -> PageSection | None:
     """Return undetermined combinations, and the most correlated parameters; None without either."""
     stated = knowledge_page.state_ridges(study.tables, study.chosen)
     blocks: list[Block] = [*stated[:SHOWN_RIDGES]]
@@ -48,11 +49,11 @@ def show_ridges(study: StudyResults) -> Section | None:
                 f"{study.name_parameter(a)}, {study.name_parameter(b)}: {format_fixed(r, 3, sign=True)}"
                 for a, b, r in pairs
             ]
-            rows.append([study.label(name), *texts, *[NOTHING] * (SHOWN_PAIRS - len(texts))])
+            rows.append([study.label(name), *texts, *[NO_VALUE] * (SHOWN_PAIRS - len(texts))])
     columns = [VARIANT, *(Column(title, kind="text") for title in ("Strongest", "second", "third"))]
     table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
     blocks += [Fold("The most correlated pairs of every variant", (table,))] if rows else []
-    return Section("Undetermined combinations", tuple(blocks), anchor="ridges", short="Ridges")
+    return PageSection("Unidentifiable combinations", tuple(blocks), anchor="ridges", short="Ridges")
 
 
 def rank_pairs(draws: dict[str, Array]) -> list[tuple[str, str, float]]:
@@ -83,34 +84,24 @@ def state_ridges(study: StudyResults) -> list[Statement]:
         f"{study.name_parameter(a)} with {study.name_parameter(b)} ({format_fixed(r, 2, sign=True)})"
         for a, b, r in pairs[:SHOWN_PAIRS]
     ]
-    text = f"In {study.label(best)} the most correlated pairs are {join_words(named)}."
-    if strong:
-        kinds = dict.fromkeys(" with ".join(write_symbol(split_name(x)[0]) for x in p[:2]) for p in strong)
-        text += (
-            f" {len(strong)} of {len(pairs)} pairs exceed 0.9 in size (kinds: {join_words(list(kinds)[:6])}): only a "
-            "combination of the two is well measured, along the ridge the prior decides."
-        )
-    else:
-        text += f" None of the {len(pairs)} pairs exceeds 0.9 in size."
+    text = f"Most correlated pairs of {study.label(best)}: {join_words(named)}; "
+    text += f"{len(strong)} of {len(pairs)} above 0.9."
     return [Statement(text), *_state_combinations(study, best)]
 
 
 def _state_combinations(study: StudyResults, variant: str) -> list[Statement]:
     """Say how many combinations of parameters keep their tolerance: ridges of three and more show in no pair."""
-    draws, rows = study.draws_of_machine(variant), study.rows("parameters", variant)
-    prior = {row["parameter"]: row["prior_sd"] for row in rows if row["verdict"] != NOISE}
+    draws, rows = study.draws_of_machine(variant), study.rows(ParameterRow, variant)
+    prior = {row.parameter: row.prior_sd for row in rows if row.verdict != NOISE}
     names = [name for name in draws if name in prior]
     if len(names) < 2:
         return []
     left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / prior[name] for name in names])))
     retained, removed = int((left > RETAINED).sum()), int((left < REMOVED).sum())
     text = (
-        f"Of the {len(left)} independent combinations of its geometry (principal axes of the draws in prior standard "
-        f"deviations) {retained or 'none'} retain more than half of their prior variance, {removed or 'none'} less "
-        "than 1 %."
+        f"Of {len(left)} principal axes of the geometry {retained} retain more than half of their prior variance, "
+        f"{removed} less than 1 %."
     )
-    if retained and removed:
-        text += " So a parameter may stay uncertain by itself while the poses fix a combination of several."
     return [Statement(text)]
 
 
@@ -130,9 +121,8 @@ def _illustrate(study: StudyResults) -> Figure:
     one = rows[(rows["variant"] == best) & (rows["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
-        f"{study.label(best)}, {study.member} {leg} (the one with the most correlated pair): correlation of its "
-        "parameters (red +1, blue −1), and the draws of its most correlated pairs as offsets from nominal. A thin "
-        "slanting cloud is a ridge: the measurements fix only what lies across it."
+        f"{study.label(best)}, {study.member} {leg}: correlation of its parameters (red +1, blue −1), and draws of its "
+        "most correlated pairs as offsets from nominal."
     )
     scales = {str(symbol): study.scale_of(str(symbol), str(unit)) for symbol, unit in one["unit"].items()}
     return Figure(name, caption, partial(_draw, table, nominal, scales, pairs))
@@ -172,7 +162,7 @@ def _draw_matrix(axes: Axes, draws: pd.DataFrame) -> None:
     axes.set_yticks(range(len(symbols)), labels)
     axes.tick_params(length=0)
     for i, j in np.ndindex(*matrix.shape):
-        if i != j and len(symbols) <= FEW:
+        if i != j and len(symbols) <= MAX_NUMBERED_CORRELATIONS:
             colour = "white" if abs(matrix[i, j]) > 0.6 else INK
             text = format_fixed(float(matrix[i, j]), 2)
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color=colour)

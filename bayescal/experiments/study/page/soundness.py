@@ -6,18 +6,20 @@ Each is a test that may fail on either side; several are made, so that each has 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping
 from typing import Any
 
 from scipy import stats
 
-from bayescal.experiments.shared.slips import LARGE, state_denied, state_slip
-from bayescal.experiments.shared.soundness import ChiSquare, format_chance
+from bayescal.experiments.shared.slips import EITHER, LARGE, split_advice, state_denied, state_slip
+from bayescal.experiments.shared.soundness import ChiSquare
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
 from bayescal.experiments.study.page.solutions import state_solutions
+from bayescal.experiments.study.rows import ParameterRow
 from bayescal.limits import AGREEMENT, ESS_BULK_LIMIT, ESS_BULK_WANTED, RHAT_LIMIT
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_fixed, format_percent, format_significant, join_words
+from bayescal.report.numbers import format_fixed, format_percent, format_significant, name_some
 
 SERIOUS = 1.5
 """Factor on stated noise or tolerances from which on it is bad."""
@@ -27,10 +29,7 @@ COVERAGE, BOUND = 0.90, 0.95
 """What intervals and bounds should hold."""
 RARE_BOUND = 0.01
 """A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
-FAR = 2.5  # prior standard deviations of a single parameter that are named
-FEW = 3  # variants to name one by one
 SIZES = "Size of errors"
-CHECK_SIZES = "Find out what errs so much before relying on the parameters: machine, data, units, model."
 
 
 def has_warnings(study: StudyResults) -> bool:
@@ -66,39 +65,35 @@ def _state_targets(study: StudyResults) -> list[Statement]:
     per_dof, dof = get_number(extraction, "chi2_per_dof"), get_number(extraction, "dof")
     found, statements = ChiSquare(per_dof * dof, dof), []
     if math.isfinite(found.value) and found.is_off:
-        size = "small" if found.factor > 1 else "large"
-        text = (
-            f"The targets scatter about their rigid bodies {format_significant(found.factor, 2)} times as much as the "
-            f"stated noise (χ² per degree of freedom {format_significant(per_dof, 3)}, {format_chance(found.chance)}): "
-            f"the target noise is stated too {size}, or targets moved on their bodies."
-        )
-        statements.append(Statement(text, _rate(found.factor), "Noise"))
+        text = f"Scatter of targets about rigid bodies / target noise: {format_significant(found.factor, 2)}."
+        action = f"State target noise {'larger' if found.factor > 1 else 'smaller'}, or check the targets."
+        level = _rate(found.factor)
+        statements.append(Statement(text, level, "Noise", value=found.factor, limit=1.0, action=action))
     total, rejected = get_number(extraction, "n_targets"), len(extraction.get("rejected_targets", []))
     if total > 0 and rejected / total > REJECTED_SHARE:
-        text = (
-            f"{rejected} of {format_fixed(total, 0)} measured targets ({format_percent(rejected / total, 1)}) were "
-            "rejected as outliers: single outliers, or a target noise that is stated too small."
-        )
-        statements.append(Statement(text, "bad" if rejected / total > 0.05 else "warning", "Noise"))
+        text = f"{rejected} of {format_fixed(total, 0)} targets were rejected as outliers."
+        level = "bad" if rejected / total > 0.05 else "warning"
+        action = "Check these targets, or state a larger target noise."
+        value, limit = rejected / total, REJECTED_SHARE
+        statements.append(Statement(text, level, "Noise", value=value, limit=limit, action=action))
     return statements
 
 
 def _state_misfit(study: StudyResults) -> list[Statement]:
-    """Say where the best variant's residuals are larger than the stated noise, and no noise or tolerance is named."""
+    """Return whether the best variant's residuals agree with the stated noise, where no noise or tolerance is named."""
     one = study.fit(study.best_name)
     found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
     if not found.is_off or study.summary.get("misstated"):
         return []
-    why = "the noise is stated too small, or every variant lacks something real."
+    action = "State a larger noise, or add what all variants lack."
     if found.factor < 1:
-        why = "the noise is stated too large, and all intervals are wider than they need be."
-    error = " and its model error" if study.list_terms(study.best_name) else ""
+        action = "State a smaller noise: intervals are too wide."
+    error = " and model error" if study.list_terms(study.best_name) else ""
     text = (
-        f"{study.label(study.best_name)} leaves residuals {format_significant(found.factor, 2)} times as large as the "
-        f"stated noise{error} (χ² per degree of freedom {format_significant(found.value / found.dof, 3)}, "
-        f"{format_fixed(found.dof, 0)} degrees, {format_chance(found.chance)}): {why}"
+        f"{study.label(study.best_name)}: residuals / stated noise{error} {format_significant(found.factor, 2)} "
+        f"(χ² {format_significant(found.value, 3)}, {format_fixed(found.dof, 0)} degrees of freedom)."
     )
-    return [Statement(text, _rate(found.factor), "Noise")]
+    return [Statement(text, _rate(found.factor), "Noise", value=found.factor, limit=1.0, action=action)]
 
 
 # --- tolerances ------------------------------------------------------------------------------------------------------
@@ -109,20 +104,21 @@ def _state_misstated(study: StudyResults) -> list[Statement]:
     found = study.summary.get("misstated")
     if not isinstance(found, dict):
         return []
-    text = f"{found['text'][0].upper()}{found['text'][1:]}"
-    if found["fault"] == LARGE:
-        return [Statement(f"{CHECK_SIZES} {text}.", "warning", SIZES)]
-    if found["fault"] == "scatter":
-        return [Statement(f"{text}. Make sure of the stated noise first.", "warning", "Noise")]
-    gain = format_significant(found["gain"], 2)
-    text += f". Data are explained better by {gain} nats then, whatever the sizes of the model error."
-    if found["fault"] == "noise":
-        return [Statement(text, _rate(found["factor"]), "Noise")]
-    wide = found["fault"] != "tolerance"  # costs accuracy, and is no fault
-    return [Statement(f"{text}{'' if wide else _say_held(study)}", "plain" if wide else "bad", "Tolerances")]
+    (text, advice), factor, fault = split_advice(str(found["text"])), float(found["factor"]), found["fault"]
+    text = re.sub(r" \([^)]*\)", "", text.partition("; ")[0].rstrip(".")) + "."
+    kinds: dict[str, tuple[str, Level, str]] = {
+        LARGE: (SIZES, "warning", "Find the cause before relying on the parameters."),
+        "scatter": ("Noise", "warning", "Check the stated noise first."),
+        EITHER: ("Tolerances", "warning", "Check the stated tolerances first."),
+        "noise": ("Noise", _rate(factor), advice),
+        "tolerance": ("Tolerances", "bad", advice),
+    }
+    lead, level, action = kinds.get(fault, ("Tolerances", "plain", advice))
+    found_now = [Statement(text, level, lead, value=factor, limit=1.0, action=action)]
+    return [*found_now, *(_state_held(study) if fault == "tolerance" else [])]
 
 
-def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, "noise", "tolerance")) -> str:
+def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, EITHER, "noise", "tolerance")) -> str:
     """Return for the headline which noise or tolerance is stated too small, or that errors are far beyond that.
 
     Empty where it is none of the faults, and where what is stated costs accuracy alone.
@@ -133,11 +129,11 @@ def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, "noise"
     return str(found["text"]).partition(" (")[0]
 
 
-def _say_held(study: StudyResults) -> str:
-    """Return which dimensions are not free, for which others err."""
-    held = study.summary.get("not_free", {}).get(study.best_name, [])
-    names = ", ".join(map(str, held))
-    return f" Not free in this study: {names}. Give them tolerances and free them first." if held else ""
+def _state_held(study: StudyResults) -> list[Statement]:
+    """Return which dimensions are not free, so that others make up for their errors."""
+    held = list(map(str, study.summary.get("not_free", {}).get(study.best_name, [])))
+    action = "Give them tolerances and free them."
+    return [Statement(f"Not free: {name_some(held)}.", "warning", "Tolerances", action=action)] if held else []
 
 
 def _state_tolerances(study: StudyResults) -> list[Statement]:
@@ -147,21 +143,17 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
     nothing by itself: errors that the model leaves out may hide a machine, and tolerances too tight bind it.
     """
     best, fit = study.best_name, study.fit(study.best_name)
-    found = ChiSquare(float(fit["pulls_chi2"]), float(fit["pulls_dof"]))
+    found = ChiSquare(float(fit["prior_chi2"]), float(fit["prior_dof"]))
     if not found.is_off or found.factor <= 1.0 or study.summary.get("misstated"):
         return []
-    rows = [row for row in study.rows("parameters", best) if row["verdict"] != NOISE]
-    pulls = {str(row["parameter"]): (row["mean"] - row["nominal"]) / row["prior_sd"] for row in rows}
+    rows = [row for row in study.rows(ParameterRow, best) if row.verdict != NOISE]
+    pulls = {row.parameter: (row.mean - row.nominal) / row.prior_sd for row in rows}
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
-    text = (
-        f"{study.label(best)}: deviations from nominal are {format_significant(found.factor, 2)} times the stated "
-        f"tolerances (rms over the {format_fixed(found.dof, 0)} directions that the data determine)"
-    )
-    if far is not None and abs(pulls[far]) >= FAR:
-        text += f", farthest {far} by {format_significant(pulls[far], 2)}"
-    text += f" ({format_chance(found.chance)}): "
-    text += "the tolerances are stated too tight, a nominal value is wrong, or the model makes up for what it lacks."
-    return [Statement(f"{text}{_say_held(study)}", _rate(found.factor), "Tolerances")]
+    which = "" if far is None else f", farthest {far} by {format_significant(pulls[far], 2)}"
+    text = f"Deviations from nominal / stated tolerances: {format_significant(found.factor, 2)} (rms){which}."
+    action = "Prior–data conflict: widen these priors or check the model."
+    said = Statement(text, _rate(found.factor), "Tolerances", value=found.factor, limit=1.0, action=action)
+    return [said, *_state_held(study)]
 
 
 # --- bounds and coverage ---------------------------------------------------------------------------------------------
@@ -194,19 +186,17 @@ def judge_bounds(beyond: int, total: int, n_poses: int) -> float:
     return float(stats.binomtest(beyond, n, 1 - BOUND, "less" if few else "greater").pvalue)
 
 
-def _describe_bounds(study: StudyResults, beyond: int, total: int, n_poses: int) -> str:
-    """Return how many errors lie beyond their bounds, how many are expected, and with what probability."""
-    held = "held back" if study.n_verification else "that were fitted"
-    kinds = join_words([scale.what for scale in study.error_scales])
+def _describe_bounds(study: StudyResults, beyond: int, total: int) -> str:
+    """Return how many errors lie beyond their bounds, and how many are expected."""
+    held = "held-back" if study.n_verification else "fitted"
     return (
-        f"{study.label(study.best_name)}: {beyond} of {total} {kinds} errors of poses {held} lie "
-        f"beyond their 95 % bounds, where {format_fixed((1 - BOUND) * total, 1)} are expected "
-        f"({format_chance(judge_bounds(beyond, total, n_poses))})"
+        f"{beyond} of {total} errors of {held} poses exceed their 95 % bounds; expected "
+        f"{format_fixed((1 - BOUND) * total, 1)}."
     )
 
 
 def _state_bounds(study: StudyResults) -> list[Statement]:
-    """Say where too few or too many errors of the best variant lie beyond their bounds.
+    """Return whether too few or too many errors of the best variant lie beyond their bounds.
 
     Of poses that were fitted too few say nothing: a posterior that has seen a pose lies nearer to it.
     """
@@ -214,51 +204,36 @@ def _state_bounds(study: StudyResults) -> list[Statement]:
     too_few = beyond < (1 - BOUND) * total
     if judge_bounds(beyond, total, n_poses) >= RARE_BOUND or (too_few and not study.n_verification):
         return []
-    text = _describe_bounds(study, beyond, total, n_poses)
+    action = "Bounds too narrow: check noise and model."
     if too_few:
-        text += (
-            ": the bounds are too wide, as from a noise stated too large, or from errors that poses share, as those "
-            "of a measured K, where they count at each pose anew."
-        )
-        return [Statement(text, "warning", "Bounds")]
-    text += ": the bounds claim too much, as from a noise stated too small or a model that lacks something real."
-    return [Statement(text, "bad", "Bounds")]
+        action = "Bounds too wide: check noise, and errors that poses share."
+    text = _describe_bounds(study, beyond, total)
+    level: Level = "warning" if too_few else "bad"
+    return [Statement(text, level, "Bounds", value=beyond / total, limit=1.0 - BOUND, action=action)]
 
 
 def state_coverage(study: StudyResults) -> list[Statement]:
-    """Say how often 90 % predictive intervals and 95 % bounds hold the poses that an instrument saw."""
+    """Return how often 90 % predictive intervals and 95 % bounds hold the poses that an instrument saw."""
     fits = {name: fit for name in study.ranking if (fit := study.fit(name))["calibration"]}
     if not fits:
         return []
     coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
     narrow = [name for name, share in coverage.items() if is_too_narrow(share, study.count_seen(name, "calibration"))]
     span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-    text = f"The 90 % predictive intervals hold {span} of the calibration measurements"
-    if narrow:
-        shares = [f"{study.label(name)} ({_cover_both(fits[name])})" for name in narrow]
-        text += f": intervals too narrow for {name_or_count(shares, len(coverage))}"
-    statements = [Statement(f"{text}.", "warning" if narrow else "plain", "Coverage")]
-    counts = _count_beyond(study)
-    if counts[1] and not _state_bounds(study):
-        statements.append(Statement(f"{_describe_bounds(study, *counts)}.", lead="Coverage"))
-    return statements
-
-
-def _cover_both(fit: Mapping[str, Any]) -> str:
-    text = format_percent(fit["calibration"]["interval_90_coverage"])
-    if fit.get("verification"):
-        text += f", verification {format_percent(fit['verification']['interval_90_coverage'])}"
-    return text
+    text = f"90 % predictive intervals hold {span} of the calibration measurements"
+    text += f"; too narrow for {len(narrow)} of {len(fits)} variants." if narrow else "."
+    level: Level = "warning" if narrow else "plain"
+    found = [Statement(text, level, "Coverage", value=min(coverage.values()), limit=COVERAGE)]
+    beyond, total, _ = _count_beyond(study)
+    if total and not _state_bounds(study):
+        text = _describe_bounds(study, beyond, total)
+        found.append(Statement(text, lead="Coverage", value=beyond / total, limit=1.0 - BOUND))
+    return found
 
 
 def is_too_narrow(coverage: float, n_poses: int) -> bool:
     """Whether a coverage lies two standard errors below 90 %, counting a pose's six components as one trial."""
     return bool(coverage < COVERAGE - 2 * math.sqrt(COVERAGE * (1 - COVERAGE) / max(n_poses, 1)))
-
-
-def name_or_count(words: list[str], total: int) -> str:
-    """Return a few variants by name, many as a count."""
-    return join_words(words) if len(words) <= FEW else f"{len(words)} of {total} variants (tables below)"
 
 
 # --- convergence -----------------------------------------------------------------------------------------------------
@@ -282,25 +257,32 @@ def measure_gap(fit: Mapping[str, Any]) -> float:
     return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
 
 
+def is_sound(fit: Mapping[str, Any]) -> bool:
+    """Whether a posterior passed its checks."""
+    return bool(fit["converged"]) and not fit["problems"] and measure_gap(fit) <= AGREEMENT
+
+
 def state_convergence(study: StudyResults) -> list[Statement]:
-    """Say whether all posteriors passed their checks, and by what margin."""
+    """Return whether all posteriors passed their checks, and by what margin."""
     fits = study.fits.values()
-    failed = sum(not fit["converged"] or bool(fit["problems"]) or not measure_gap(fit) <= AGREEMENT for fit in fits)
+    failed = sum(not is_sound(fit) for fit in fits)
     if failed:
-        text = f"{failed} of {len(fits)} posteriors did not pass their checks (listed above)."
-        return [Statement(text, "bad", "Checks")]
-    gap = max(measure_gap(fit) for fit in fits)
-    rhat = max(fit["rhat_max"] for fit in fits)
+        text = f"{failed} of {len(fits)} posteriors did not pass their checks."
+        return [Statement(text, "bad", "Checks", value=float(failed), limit=0.0)]
     bulk = min(fit["ess_bulk_min"] for fit in fits)
-    text = (
-        f"All {len(fits)} posteriors converged: R-hat at most {format_fixed(rhat, 4)} (limit {RHAT_LIMIT}), bulk ESS "
-        f"at least {format_fixed(bulk, 0)} (limit {format_fixed(ESS_BULK_LIMIT, 0)}). Both evidence estimators agree "
-        f"to {format_fixed(gap, 3)} nat or better (limit {AGREEMENT})."
+    numbers = (
+        (f"Largest R-hat of {len(fits)} posteriors", max(fit["rhat_max"] for fit in fits), RHAT_LIMIT, 4),
+        ("Largest difference of evidence estimators", max(map(measure_gap, fits)), AGREEMENT, 3),
+        ("Smallest bulk ESS", bulk, ESS_BULK_LIMIT, 0),
     )
+    found = [
+        Statement(
+            f"{what}: {format_fixed(value, places)} (limit {limit:g}).", "good", "Checks", value=value, limit=limit
+        )
+        for what, value, limit, places in numbers
+    ]
     if bulk < ESS_BULK_WANTED:
-        rough = f"Means are known to {format_significant(100.0 / math.sqrt(bulk), 2)} % of a standard deviation; more"
-        return [Statement(f"{text} {rough} steps of [sampler] make them surer.", "warning", "Checks")]
-    if has_warnings(study):
-        caveat = "That follows from what was stated of noise and tolerances; what speaks against it is said above."
-        return [Statement(f"{text} {caveat}", "plain", "Checks")]
-    return [Statement(text, "good", "Checks")]
+        text = f"Smallest bulk ESS: {format_fixed(bulk, 0)} (wanted {ESS_BULK_WANTED:g})."
+        action = "Use more `steps` in `[sampler]`."
+        found[-1] = Statement(text, "warning", "Checks", value=bulk, limit=ESS_BULK_WANTED, action=action)
+    return found

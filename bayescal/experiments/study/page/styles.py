@@ -16,7 +16,7 @@ from bayescal.report.style import INK, LEG_COLOURS, MARKERS, OTHER_COLOURS
 from bayescal.report.symbols import quote
 
 DEFORMATION_COLOURS = {"none": "#D55E00", "linear": "#0072B2", "matrix": "#009E73"}
-FEW = 4  # variants to name one by one in a legend
+MAX_NAMED_VARIANTS = 4  # variants to name one by one in a legend
 LONG, FEW_COLUMNS = 20, 4  # letters of a variant's own name from which on a line of a legend holds so few
 
 
@@ -76,7 +76,7 @@ def add_legend(
 def list_keys(styles: Styles, linewidth: float = 0.0) -> list[Line2D]:
     """Return legend entries: a few variants one by one, many as colours of deformations and markers of models."""
     shape: dict[str, Any] = {"markersize": 5, "linewidth": linewidth, "linestyle": "-" if linewidth else "none"}
-    if len(styles) <= FEW or not any(style.deformation for style in styles.values()):
+    if len(styles) <= MAX_NAMED_VARIANTS or not any(style.deformation for style in styles.values()):
         return [Line2D([], [], color=s.colour, marker=s.marker, label=s.label, **shape) for s in styles.values()]
     colours = {s.deformation: s.colour for s in styles.values()}
     markers = {s.model: s.marker for s in styles.values()}

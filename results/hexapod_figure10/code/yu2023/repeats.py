@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.frame.parallel import Run
-from bayescal.experiments.frame.results import Results
+from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Results
 from bayescal.files.csv_tables import read_by_leg, read_table
 from bayescal.numerics.geometry import Array
 from yu2023.least_squares import Calibrations, PoseErrors, Weighting

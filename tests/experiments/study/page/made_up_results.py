@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 from html_reader import leave_out_script
 
-from bayescal.experiments.frame import results as frame
+from bayescal.experiments.runner import results as frame
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.page.results import StudyResults
+from bayescal.experiments.study.rows import ROWS
 from bayescal.report.blocks import Page
 from bayescal.report.page import render_page, show_provenance, write_page
 from bayescal.report.pictures import Picture
@@ -82,8 +83,8 @@ def describe_fit(title: str, log_evidence: float, shift: float, uses: dict[str, 
     evidence = {"log_evidence": log_evidence, "log_evidence_importance": log_evidence}
     return {
         "title": title,
-        "data": "4 poses",
-        "n_parameters": 14,
+        "data_set": "4 poses",
+        **{"has_outliers": False, "n_poses": 4, "n_equations": 200, "n_parameters": 14},
         **evidence,
         "log_evidence_bridge": log_evidence + 0.02,
         **{f"{name}_se": 0.01 for name in (*evidence, "log_evidence_bridge")},
@@ -91,11 +92,11 @@ def describe_fit(title: str, log_evidence: float, shift: float, uses: dict[str, 
         **{"efficiency": 0.4, "pareto_k": 0.3, "acceptance": 0.4, "wall_seconds": 10.0},
         **{"elpd": log_evidence / 5 if "verification" in uses else None, "elpd_loo": log_evidence + 50},
         **{"elpd_loo_se": 5.0, "elpd_loo_difference": 0.0, "elpd_loo_difference_se": 4.0, "stacking_weight": 0.5},
-        **{"loo_pareto_k_max": 0.5, "loo_refitted": 0, "loo_unreliable": 0},
+        **{"loo_pareto_k_max": 0.5, "n_loo_refitted": 0, "n_loo_bad_k": 0},
         **{"converged": True, "problems": "", "rhat_max": 1.001, "ess_bulk_min": 4000.0, "ess_tail_min": 3000.0},
         **{use: errors if use in uses else None for use in USES},
-        **{"distance_from_nominal_mm": shift, "distance_from_nominal_prior_sd": shift / 2, "misfit": 1.01},
-        **{"misfit_chi2": 205.0, "misfit_dof": 200.0, "pulls_chi2": 11.0, "pulls_dof": 10.0},
+        **{"distance_from_nominal_mm": shift, "distance_from_nominal_prior_sd": shift / 2, "reduced_chi": 1.01},
+        **{"misfit_chi2": 205.0, "misfit_dof": 200.0, "prior_chi2": 11.0, "prior_dof": 10.0},
     }
 
 
@@ -125,8 +126,8 @@ def tabulate_poses(variants: dict[str, dict]) -> pd.DataFrame:
     rows, n = [], USES["calibration"]
     for number, (variant, fit) in enumerate(variants.items()):
         for k in range(n):
-            left_out = {"elpd_loo": fit["elpd_loo"] / n + number * (-1) ** k, "pareto_k": 0.3, "refitted": False}
-            residual = {"equations": 6, "square": 5.0 + k, "trust": 1.0, "contradicting": False}
+            left_out = {"elpd_loo": fit["elpd_loo"] / n + number * (-1) ** k, "pareto_k": 0.3, "loo_refitted": False}
+            residual = {"n_dof": 6, "chi2": 5.0 + k, "robust_weight": 1.0, "is_outlier": False}
             rows.append({"variant": variant, "pose": f"C{k}", **left_out, **residual})
     return pd.DataFrame(rows)
 
@@ -138,11 +139,14 @@ def tabulate_accuracy(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
             "variant": variant,
             "coordinate": "x",
             "unit": "mm",
-            "before": 1.3,
-            "after": 0.013,
+            "prior_sd": 1.3,
+            "posterior_sd": 0.013,
             "noise": 0.002,
-            "worst": 0.021,
-            "worst_at": "x = 7 mm",
+            "max_sd": 0.021,
+            "max_sd_pose": "x = 7 mm",
+            "frame": "base",
+            "unaligned_sd": 0.013,
+            "max_unaligned_sd": 0.021,
         }
         for variant in variants
     )
@@ -150,8 +154,8 @@ def tabulate_accuracy(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
 
 def tabulate_model_error(variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
     """Return random errors that the data show."""
-    size = {"median_um": 4.0, "q05_um": 3.0, "q95_um": 5.0}
-    return pd.DataFrame({"variant": variant, "term": "independent", **size} for variant in variants)
+    size = {"unit": "um", "median": 4.0, "q05": 3.0, "q95": 5.0}
+    return pd.DataFrame({"variant": variant, "term": "random", **size} for variant in variants)
 
 
 def tabulate_pose_errors(uses: dict[str, int], variants: dict[str, tuple[float, float]]) -> pd.DataFrame:
@@ -214,12 +218,12 @@ def tabulate_sensitivity(summary: dict) -> pd.DataFrame:
     )
 
 
-def tabulate_ring() -> tuple[pd.DataFrame, pd.DataFrame]:
+def tabulate_deflections() -> tuple[pd.DataFrame, pd.DataFrame]:
     matrix = np.array([[10.0, -4.0], [2.0, 12.0]])  # 1e-3
     travel = np.array([[-1.0, 1.0], [1.0, 0.5], [0.0, -1.0], [1.0, 1.0], [0.5, 0.0], [0.0, 0.5]])
     deflection = travel @ matrix.T + 0.5  # µm
     uses = ["calibration"] * 4 + ["verification"] * 2
-    ring = pd.DataFrame(
+    deflections = pd.DataFrame(
         {
             "pose": f"P{p}",
             "use": uses[p],
@@ -233,7 +237,7 @@ def tabulate_ring() -> tuple[pd.DataFrame, pd.DataFrame]:
     )
     rows = [("kappa", leg, leg, matrix[leg - 1, leg - 1], 0.5) for leg in LEGS]
     rows += [("K", i, j, matrix[i - 1, j - 1], 0.1) for i in LEGS for j in LEGS]
-    return ring, pd.DataFrame(rows, columns=["quantity", "leg", "actuator", "mean_1e-3", "sd_1e-3"])
+    return deflections, pd.DataFrame(rows, columns=["quantity", "leg", "actuator", "mean_permille", "sd_permille"])
 
 
 def write_draws(path: Path) -> None:
@@ -260,7 +264,7 @@ def name_tables(variants: dict[str, tuple[float, float]]) -> dict[str, str]:
 def describe_config(variants: dict[str, tuple[float, float]]) -> dict:
     pairs = [name.split("/") for name in variants]
     entries = [{"model": model, "deformation": deformation} for model, deformation in pairs]
-    return {"model_error": {"terms": ["independent"], "scale_um": 10.0}, "variants": entries}
+    return {"model_error": {"terms": ["random"], "random_scale_um": 10.0}, "variants": entries}
 
 
 def tabulate_claims() -> pd.DataFrame:
@@ -272,7 +276,7 @@ def tabulate_claims() -> pd.DataFrame:
         ("far", "10.2, 11", "A claim of later sections.", "two", "three", 3.0, "1", "does not hold", "Counted."),
         ("mine", "own", "Table 7(c) is misprinted.", "1", "0.12", 0.12, "1", "does not hold", "Regression."),
     ]
-    columns = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "why"]
+    columns = ["claim", "section", "statement", "expected", "found", "value", "unit", "verdict", "reason"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -296,6 +300,14 @@ def tabulate_flexure() -> pd.DataFrame:
             )
         )
     return pd.concat(frames)
+
+
+def complete(name: str, table: pd.DataFrame) -> pd.DataFrame:
+    """Return a study's table with columns that a test does not care about: NaN, empty texts, zeros and False."""
+    row = next((one for one in ROWS if one.table == name), None)
+    missing = [one for one in row.list_columns() if one.name not in table and not one.is_optional] if row else []
+    empty = {str: "", float: np.nan, int: 0, bool: False}
+    return table.assign(**{one.name: one.choices[0] if one.choices else empty[one.kind] for one in missing})
 
 
 def write_results(
@@ -342,12 +354,12 @@ def write_results(
         "sensitivity": tabulate_sensitivity(summary),
     }
     if ring:
-        tables["ring"], tables["deformation"] = tabulate_ring()
+        tables["joint_deflection"], tables["deformation"] = tabulate_deflections()
     if claims:
         tables["claims"] = tabulate_claims()
     if flexure:
         tables["flexure"] = tabulate_flexure()
-    tables |= more or {}
+    tables = {name: complete(name, table) for name, table in (tables | (more or {})).items()}
     for table, edit in (edits or {}).items():
         edited = edit(tables[table])
         tables[table] = tables[table] if edited is None else edited

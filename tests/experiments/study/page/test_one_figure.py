@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.experiments.shared.knowledge_page import show_next, state_next
 from bayescal.experiments.study.page.build import build_page
 from bayescal.experiments.study.page.ranking import tabulate_ranking
@@ -32,9 +31,8 @@ def test_the_best_pose_promises_the_same_in_the_verdict_and_in_the_table():
         (section,) = show_next(tables, variant)
         (table,) = (one for one in unfold(section.blocks) if isinstance(one, Table))
         for statement in state_next(tables, variant):
-            sensors, gain = re.search(r"with (.*) sensors, at .* reduce the error by (.*)\.$", statement.text).groups()
-            first = next(row for row in table.rows if row[0].text == sensors)
-            assert first[-1].text == gain
+            first = next(row for row in table.rows if f"({row[0].text} sensors)" in statement.text)
+            assert first[-1].text == f"{statement.value:.1f} %"
             said += 1
     assert said > 0
 
@@ -43,7 +41,7 @@ def test_nothing_is_promised_of_poses_whose_gain_is_not_known():
     """Of a tool that no pose tells more of, for instance: neither a fault nor a promise."""
     tables = dict(read_results(RESULTS / "hangprinter").tables)
     variant = tables["next"]["variant"].iloc[0]
-    tables["next"] = tables["next"].assign(gain=float("nan"))
+    tables["next"] = tables["next"].assign(variance_reduction=float("nan"))
     assert show_next(tables, variant) == []
     assert state_next(tables, variant) == []
 
@@ -55,6 +53,5 @@ def test_the_distance_from_nominal_is_one_figure():
     column = next(k for k, one in enumerate(table.columns) if one.unit == "tolerances")
     shown = {cell.text: row[column].text for row in table.rows for cell in row[:2]}
     assert f"{fit[study.best_name]['distance_from_nominal_prior_sd']:.2g}" in shown[study.label(study.best_name)]
-    verdict = " ".join(one.text for one in build_page(results).verdict)
-    said = re.findall(r"deviations from nominal are (\S+) times", verdict)
-    assert said == [shown[study.label(study.best_name)]] * len(said)
+    said = [one.value for one in build_page(results).verdict if one.lead == "Tolerances" and one.level == "bad"]
+    assert [f"{one:.2g}" for one in said] == [shown[study.label(study.best_name)]] * len(said)

@@ -63,7 +63,7 @@ def test_orientations_that_nobody_measured_have_no_panel(make_results):
     page = read_page(make_results(be("line"), edits=alone, published=False, ring=False))
     panels = {figure.name: len(figure.draw().axes) for figure in page.figures() if figure.name.startswith("errors")}
     assert panels == {"errors": 2, "errors_all": 1}
-    assert not any("orientation error" in one.text for one in page.verdict if one.lead == "Accuracy")
+    assert [one.unit for one in page.verdict if one.lead == "Accuracy"] == ["µm"]
 
 
 def test_only_poses_that_an_instrument_saw_are_counted(make_results):
@@ -72,9 +72,8 @@ def test_only_poses_that_an_instrument_saw_are_counted(make_results):
         table.loc[table["pose"] == "V0", columns] = np.nan
 
     page = read_page(make_results(edits={"pose_errors": hide}))
-    said = {one.lead: one.text for one in page.verdict}
-    assert "on the 1 verification pose (held" in said["Accuracy"]
-    assert "0 of 2 position and orientation errors" in said["Coverage"]
+    assert any(" 1 verification pose." in one.text for one in page.verdict if one.lead == "Accuracy")
+    assert any(" of 2 errors" in one.text for one in page.verdict if one.lead == "Coverage")
 
 
 def test_a_variant_whose_poses_nobody_saw_is_left_out_of_the_errors_alone(make_results):
@@ -101,10 +100,11 @@ def test_variants_that_are_no_models_have_a_colour_or_marker_each(make_results):
 
 
 def test_poses_that_the_others_contradict_are_named_and_drawn(make_results):
-    odd = {"poses": set_rows({"variant": BEST, "pose": "C2"}, contradicting=True, square=150.0, trust=0.01)}
+    odd = {"poses": set_rows({"variant": BEST, "pose": "C2"}, is_outlier=True, chi2=150.0, robust_weight=0.01)}
     study = read_study(make_results(edits=odd))
     (statement,) = state_outliers(study)
-    assert statement.text == "Check the readings of C2: 1 pose disagrees with the others."
+    assert statement.value == 1.0
+    assert "C2" in statement.action
     section = show_outliers(study)
     (table,) = list_tables(section)
     assert [cell.text for cell in table.rows[0]] == ["C2", "6", "5.0", "0.01"]
@@ -115,14 +115,11 @@ def test_poses_that_the_others_contradict_are_named_and_drawn(make_results):
 def test_where_outliers_are_expected_it_is_said_that_there_are_none(make_results):
     def expect(summary):
         for name in TWO:
-            summary["variants"][name]["robust"] = True
+            summary["variants"][name]["has_outliers"] = True
 
-    counted = {"poses": set_rows({"variant": BEST, "pose": "C1"}, trust=0.93)}
+    counted = {"poses": set_rows({"variant": BEST, "pose": "C1"}, robust_weight=0.93)}
     (statement,) = state_outliers(read_study(make_results(expect, edits=counted)))
-    assert (statement.level, statement.text) == (
-        "good",
-        "No pose contradicts the others; C1 counts least, with a weight of 0.93.",
-    )
+    assert (statement.level, statement.value) == ("good", 0.93)
     assert state_outliers(read_study(make_results(name="plain"))) == []
 
 

@@ -8,7 +8,7 @@ import pytest
 from made_up_results import PUBLICATION, read_study
 
 from bayescal.errors import InputError
-from bayescal.experiments.frame.results import read_results
+from bayescal.experiments.runner.results import read_results
 from bayescal.experiments.study.page.results import StudyResults
 
 
@@ -71,8 +71,9 @@ def test_a_missing_column_is_named(make_results, name):
 
 def test_text_where_numbers_are_expected_is_named(make_results):
     results = read_results(make_results())
-    tables = {**results.tables, "ring": results.table("ring").assign(deflection_um="much")}
-    with pytest.raises(InputError, match=r"tables/ring\.csv: column 'deflection_um': found text, expected numbers"):
+    tables = {**results.tables, "joint_deflection": results.table("joint_deflection").assign(deflection_um="much")}
+    wanted = r"joint_deflection\.csv: column 'deflection_um': found text, expected numbers"
+    with pytest.raises(InputError, match=wanted):
         StudyResults.of(replace(results, tables=tables))
 
 

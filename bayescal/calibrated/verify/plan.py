@@ -1,0 +1,408 @@
+"""The fewest poses that show whether a calibration still holds, chosen one by one and then exchanged; their tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.calibrated.predict import bound_workspace
+from bayescal.calibrated.tables import name_column, read_commands, show_values
+from bayescal.calibrated.verify.statistics import (
+    PoseInformation,
+    Reverification,
+    ShiftTest,
+    TestedParameters,
+    build_test,
+    keep_seen,
+    look_again,
+    predict_knowledge,
+    say_shift,
+    say_size,
+)
+from bayescal.data.actuators import check_range
+from bayescal.data.instruments.read_poses import (
+    DEVIATIONS,
+    UNITS,
+    PoseNoise,
+    check_positive,
+    name_covariances,
+    read_noise,
+    read_poses,
+)
+from bayescal.data.instruments.readings import TrackedPoses, check_units
+from bayescal.density.calibration.measurements import Measurements
+from bayescal.errors import InputError, name_faults
+from bayescal.files.csv_tables import format_table, read_table
+from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
+from bayescal.machines.readings import POSE, Given, Legs, as_legs
+from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
+from bayescal.numerics.units import ARCSECOND, MICROMETRE
+
+LEVELS = (-1.0, 0.0, 1.0)
+RANDOM = 729
+"""Candidates of machines whose actuators cannot be combined at will."""
+EXCHANGES = 3
+HOPEFUL = 0.03  # below the power asked for, from which on a plan is simulated
+PERCENT = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class VerificationGoal:
+    """What a reverification has to do."""
+
+    shift: Array  # (N,): of each parameter that may have shifted, in its unit
+    power: float = 0.95  # with which it has to be found, whichever parameter it is
+    false_alarm: float = 0.01  # of all sessions together
+    sessions: int = 2  # within which it has to be found; each measures the same poses
+    most: int = 40  # poses that a session may have
+    in_sd: float | None = None  # the shift in standard deviations of each parameter, where it was stated so
+
+
+@dataclass(frozen=True, eq=False)
+class ReverificationPlan:
+    """Poses of one session of a reverification."""
+
+    suspects: TestedParameters  # N parameters, one of which may shift
+    chosen: np.ndarray  # (P,): which of the candidates, the one that shows most first
+    commands: Array  # (P, C): in the channels' units
+    given: Given  # (P,)
+    test: ShiftTest  # of all sessions
+    power: Array  # (N,): with which the shift of each parameter is found
+    demand: VerificationGoal
+
+    @cached_property
+    def power_by_session(self) -> Array:
+        """With which probability the shift that is found worst is found by each session, shape (J,)."""
+        looks = [replace(self.test, information=self.test.information[: k + 1]) for k in range(self.demand.sessions)]
+        return np.array([one.find_power().min() for one in looks])
+
+
+def list_candidates(calibrated: CalibratedMachine, share: float) -> tuple[Array, Given]:
+    """Return commands (C, n) over a share of the range, and what is given: corners, middles of edges and faces, home.
+
+    Of a machine on six legs those of its actuators. Redundant legs cannot be combined at will: theirs hold random poses
+    about home. Any other machine's hold such poses of its workspace, and random ones where these are few; one without
+    coordinates has the rows that calibrated it.
+    """
+    legs = as_legs(calibrated.model)
+    if legs is None:
+        return _cover_workspace(calibrated, share)
+    mechanism = legs.machine.mechanism
+    reach = share * mechanism.actuator_range
+    if mechanism.n_legs == DEGREES_OF_FREEDOM:
+        moves = reach * np.array(list(product(LEVELS, repeat=mechanism.n_legs)))
+        return _keep_reached(legs, calibrated.theta, mechanism.initial_actuator_positions + moves), {}
+    return _place_near_home(legs, calibrated.theta, reach), {}
+
+
+def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array, Given]:
+    model, (low, high) = calibrated.model, bound_workspace(calibrated)
+    middle, half = 0.5 * (low + high), 0.5 * share * (high - low)
+    q, rng = len(low), np.random.default_rng(0)
+    n = len(LEVELS) ** q
+    moves = np.array(list(product(LEVELS, repeat=q))).reshape(n, q) if n <= RANDOM else np.zeros((1, q))
+    moves = np.concatenate([moves, rng.uniform(-1.0, 1.0, (RANDOM - len(moves), q))])
+    given = calibrated.typical(len(moves))
+    if given and not q:  # nothing moves but by what is given: that of the rows that calibrated it
+        given = {name: calibrated.given[name] for name in given}
+        moves = np.zeros((len(next(iter(given.values()))), 0))
+    commands = model.read(calibrated.theta, middle + half * moves, given)[:, calibrated.commanded]
+    with np.errstate(invalid="ignore"):
+        within = ((commands >= model.command_range[:, 0]) & (commands <= model.command_range[:, 1])).all(axis=1)
+    _, found = model.locate(calibrated.theta, np.nan_to_num(commands), given, weights=calibrated.weights)
+    if not (within & found).any():
+        raise InputError(f"machine {calibrated.name!r}: found no pose of the workspace in reach, expected some")
+    return commands[within & found], {name: value[within & found] for name, value in given.items()}
+
+
+def _place_near_home(legs: Legs, theta: Array, reach: float) -> Array:
+    """Return the actuator positions (C, N) of random poses at which the one that moves most moves by about a reach."""
+    machine = legs.machine
+    mechanism, own = machine.mechanism, theta[: machine.layout.size]
+    start = mechanism.initial_actuator_positions
+    home = solve_forward_kinematics(machine, own, start)
+    here = machine.linearise(own, home.position, home.rotation, start)
+    size = np.array([1.0] * 3 + [1.0 / np.linalg.norm(mechanism.platform_points, axis=1).max()] * 3)
+    moves = np.random.default_rng(0).uniform(-1.0, 1.0, (RANDOM, DEGREES_OF_FREEDOM)) * size
+    needed = np.abs(moves @ np.linalg.solve(here.actuators, here.pose).T).max(axis=1, keepdims=True)
+    moves *= reach / needed
+    rotation = matrix_from_rotation_vector(moves[:, 3:]) @ home.rotation
+    found = solve_inverse_kinematics(machine, own, home.position + moves[:, :3], rotation, check=False)
+    read = legs.read_actuators(theta, found.actuators)
+    within = np.abs(read - start).max(axis=1) <= mechanism.actuator_range
+    return _keep_reached(legs, theta, read[found.converged & within])
+
+
+def _keep_reached(legs: Legs, theta: Array, actuators: Array) -> Array:
+    return actuators[legs.solve(theta, actuators).converged]
+
+
+def plan_reverification(
+    calibrated: CalibratedMachine,
+    suspects: TestedParameters,
+    candidates: Array,
+    given: Given,
+    planned: Measurements,
+    demand: VerificationGoal,
+) -> ReverificationPlan:
+    """Return the fewest poses out of candidates, commands (C, n) in the channels' units, that meet a demand.
+
+    ``planned`` is a row that says which channels are read, and their noise; see `predict_knowledge`. InputError where
+    no number of poses up to ``demand.most`` does.
+    """
+    whole = predict_knowledge(calibrated, suspects, candidates, given, planned)
+    kept, (knowledge,) = keep_seen(suspects, [whole])
+    demand = replace(demand, shift=demand.shift[whole.seen])
+    choice = _Choice(knowledge.scale(demand.shift), demand)
+    chosen: list[int] = []
+    while len(chosen) < min(demand.most, len(candidates)):
+        chosen.append(choice.find_best(chosen))
+        if choice.seems_enough(chosen):
+            exchanged = choice.exchange(chosen)
+            test, power = choice.judge(exchanged)
+            if power.min() >= demand.power:
+                final, test, power = choice.shorten(exchanged, test, power)
+                there = {name: value[final] for name, value in given.items()}
+                return ReverificationPlan(kept, np.array(final), candidates[final], there, test, power, demand)
+    worst = choice.judge(chosen)[1]
+    least = int(np.argmin(worst))
+    raise InputError(
+        f"verify: found that {len(chosen)} poses show a shift of {kept.names[least]} by "
+        f"{say_size(float(demand.shift[least]), kept.units[least])} with {100.0 * worst[least]:.1f} % in "
+        f"{demand.sessions} sessions, expected {100.0 * demand.power:g} %: a larger shift, more sessions or less noise"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Candidates out of which poses are chosen, shifts in units of those to be found."""
+
+    knowledge: PoseInformation
+    demand: VerificationGoal
+
+    def find_best(self, chosen: list[int]) -> int:
+        """Return the candidate with which, beside those chosen, most is known of the shift that is known least."""
+        knowledge = self.knowledge
+        information = knowledge.add_each(knowledge.total(chosen), self.demand.sessions)
+        rate = information.min(axis=1) + 1e-3 * information.mean(axis=1)  # ties to those that say more
+        rate[chosen] = -np.inf
+        return int(np.argmax(rate))
+
+    def exchange(self, chosen: list[int]) -> list[int]:
+        """Return poses, each exchanged for the best candidate beside the others, until none is better."""
+        chosen = list(chosen)
+        for _ in range(EXCHANGES):
+            before = list(chosen)
+            for k in range(len(chosen)):
+                chosen[k] = self.find_best(chosen[:k] + chosen[k + 1 :])
+            if chosen == before:
+                break
+        return chosen
+
+    def seems_enough(self, chosen: list[int]) -> bool:
+        """Return whether the worst parameter's own statistic might pass the lowest threshold that there can be."""
+        demand, gram = self.demand, self.knowledge.total(chosen)
+        _, information = self.knowledge.score(demand.sessions * gram)
+        passed = ndtr(np.sqrt(np.diag(information).min()) + ndtri(demand.false_alarm / 2.0))
+        return bool(passed > demand.power - HOPEFUL)
+
+    def judge(self, chosen: list[int]) -> tuple[ShiftTest, Array]:
+        """Return the test of some poses, and with which probability each shift is found."""
+        gram = self.knowledge.total(chosen)
+        test = build_test(look_again(self.knowledge, [gram], self.demand.sessions), self.demand.false_alarm)
+        return test, test.find_power()
+
+    def shorten(self, chosen: list[int], test: ShiftTest, power: Array) -> tuple[list[int], ShiftTest, Array]:
+        """Return fewer poses where some exchange finds them, and the rest as it is then."""
+        while len(chosen) > 1:
+            fewer = self.exchange(chosen[:-1])
+            there, found = self.judge(fewer)
+            if found.min() < self.demand.power:
+                break
+            chosen, test, power = fewer, there, found
+        return chosen, test, power
+
+
+# --- measured poses of legs ----------------------------------------------------------------------------------------
+
+
+def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
+    """Return the covariance of a measured pose (6, 6), mm and rad, of equal errors along all axes."""
+    sd = [MICROMETRE * position_um] * 3 + [ARCSECOND * orientation_arcsec] * 3
+    return np.diag(np.square(sd))
+
+
+def read_mean_covariance(path: Path) -> Array:
+    """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns."""
+    upper, lower = name_covariances(POSE)
+    table = read_table(path, ("pose",), (*read_table(path, None).columns, *upper, *lower))
+    if not any(name in table.columns for name in (*upper, *DEVIATIONS)):
+        raise InputError(f"{path}: found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad")
+    whole = np.ones((len(table.rows), len(POSE)), dtype=bool)
+    covariance = read_noise(table, PoseNoise(), whole)
+    check_positive(table, covariance, whole)
+    return np.asarray((covariance * np.outer(UNITS, UNITS)).mean(axis=0))
+
+
+def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurements:
+    """Return a row that says that a pose of a machine on legs is measured, with a covariance (6, 6), mm and rad."""
+    n_legs = len(calibrated.commanded)
+    return place_poses(("plan",), np.zeros((1, n_legs)), np.zeros((1, DEGREES_OF_FREEDOM)), covariance[None])
+
+
+def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covariance: Array) -> Measurements:
+    """Return poses (P, 6) measured at actuator positions (P, N), mm and rad, as readings of legs.
+
+    Values are NaN where not measured; the covariance (P, 6, 6) is that of what is measured.
+    """
+    n = actuators.shape[1]
+    measured = np.isfinite(values)
+    both = measured[:, :, None] & measured[:, None, :]
+    covariance = np.where(both, covariance, np.eye(DEGREES_OF_FREEDOM))
+    sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    correlation = np.tile(np.eye(n + DEGREES_OF_FREEDOM), (len(values), 1, 1))
+    correlation[:, n:, n:] = covariance / (sd[:, :, None] * sd[:, None, :])
+    every = np.concatenate([actuators, values], axis=1)
+    return Measurements(names, every, np.concatenate([np.ones_like(actuators), sd], axis=1), {}, correlation)
+
+
+def has_noise(path: Path) -> bool:
+    """Return whether a table of poses states its noise itself."""
+    columns = read_table(path, None).columns
+    return any(name.startswith(("cov_", "sd_")) for name in columns)
+
+
+def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrated: CalibratedMachine) -> TrackedPoses:
+    """Return the poses of a session in the base frame; actuator positions from its table or the plan's.
+
+    InputError for anything at fault in the tables, a rotation that is measured in part, and positions out of range.
+    """
+    machine = calibrated.legs
+    mechanism = machine.mechanism
+    readings, _ = read_poses(path, actuators, noise, mechanism.n_legs)
+    turned = np.isfinite(readings.values[:, 3:])
+    for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
+        raise InputError(f"{path}: pose {readings.names[k]!r}: found a rotation measured in part, expected all or none")
+    with name_faults(path if actuators is None else actuators):
+        check_range(readings.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, readings.names)
+    check_units(machine, readings, path)
+    return readings
+
+
+# --- readings of any machine ---------------------------------------------------------------------------------------
+
+
+def expect_readings(sd: Array) -> Measurements:
+    """Return a row that says which channels are read, by their noise (K,); NaN for those that are not."""
+    return Measurements(("plan",), np.where(np.isfinite(sd), 0.0, np.nan)[None], np.nan_to_num(sd, nan=1.0)[None])
+
+
+def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrated: CalibratedMachine) -> Measurements:
+    """Return a session's readings with the commanded channels of a plan, by the poses' names.
+
+    InputError where commands stand in both or in none, or a pose is not in the plan.
+    """
+    own, values, given = calibrated.commanded, readings.values.copy(), dict(readings.given)
+    there = np.isfinite(values[:, own]).any()
+    if plan is None:
+        missing = [one.name for one in calibrated.command_channels]
+        if missing and not there:
+            raise InputError(
+                f"{path}: found no reading of {', '.join(missing)}, expected it there, or --actuators PLAN.csv"
+            )
+        return readings
+    if there:
+        raise InputError(f"{path}: found commanded channels beside those of {plan}, expected them once")
+    names, commands, known = read_commands(plan, calibrated)
+    for name in readings.poses:
+        if name not in names:
+            raise InputError(f"{path}: pose {name!r} is not in {plan}, expected it there")
+    rows = [names.index(name) for name in readings.poses]
+    values[:, own] = commands[rows]
+    given |= {name: value[rows] for name, value in known.items()}
+    return Measurements(readings.poses, values, readings.sd, given, readings.correlation)
+
+
+def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachine) -> None:
+    """Raise InputError for a reading whose noise is not known; that of commanded channels is the machine's own."""
+    channels, own = calibrated.model.channels, np.isin(np.arange(len(calibrated.model.channels)), calibrated.commanded)
+    for k, channel in np.argwhere(readings.present & ~np.isfinite(readings.sd) & ~own)[:1]:
+        one = channels[channel]
+        raise InputError(
+            f"{path}: pose {readings.poses[k]!r}: found a reading of {one.name} without noise, expected a column "
+            f"{one.stem}_sd_{one.unit}, or --noise-from"
+        )
+    for name, value in readings.given.items():
+        for k in np.flatnonzero(~np.isfinite(value))[:1]:
+            raise InputError(f"{path}: pose {readings.poses[k]!r}: found no {name}, expected it")
+
+
+# --- what is written -----------------------------------------------------------------------------------------------
+
+
+def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: str) -> str:
+    """Return a plan as CSV text: the poses of one session, the one that shows most first."""
+    channels = calibrated.command_channels
+    back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
+    if isinstance(calibrated.model, Legs):
+        how = [
+            "Measure position and orientation of the platform at each, in the base frame, as pose, x_mm, y_mm, z_mm,",
+            f"rx_deg, ry_deg, rz_deg; {back}",
+        ]
+    else:
+        how = ["Read the channels at each, as in the data of the calibration;", back]
+    comments = [*calibrated.source.describe(), title, *how]
+    columns = ["pose", "use", *plan.given, *(name_column(calibrated, one) for one in channels)]
+    known = list(zip(*plan.given.values(), strict=True)) or [()] * len(plan.commands)
+    rows = [
+        (f"R{k:02d}", "calibration", *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
+        for k, (own, one) in enumerate(
+            zip(known, show_values(calibrated, plan.commands, channels), strict=True), start=1
+        )
+    ]
+    return format_table(comments, columns, rows)
+
+
+def describe_plan(plan: ReverificationPlan) -> str:
+    """Return in a sentence what a plan does."""
+    demand, by_session = plan.demand, PERCENT * plan.power_by_session
+    n, worst = len(plan.chosen), PERCENT * plan.power.min()
+    sessions = "one session" if demand.sessions == 1 else f"{demand.sessions} sessions"
+    first = "" if demand.sessions == 1 else f", {by_session[0]:.0f} % in the first"
+    suspects, shift = plan.suspects, demand.shift
+    which = f"any {suspects.kind}" if len(shift) > 1 else suspects.names[0]
+    size = say_size(float(shift[0]), suspects.units[0])
+    if demand.in_sd is not None:
+        size = f"{demand.in_sd:g} of its standard deviations"
+    return (
+        f"{n} pose{'s a session show' if n > 1 else ' a session shows'} a shift of {which} by {size} with "
+        f"{worst:.1f} % in {sessions}{first}; false alarms {PERCENT * demand.false_alarm:g} % over all of them"
+    )
+
+
+def describe_reverification(found: Reverification) -> list[str]:
+    """Return in lines what a reverification says."""
+    suspects, worst = found.suspects, found.worst
+    largest = float(np.abs(found.statistic).max())
+    alarms = f"{PERCENT * found.false_alarm:g} % false alarms"
+    test = f"largest statistic {largest:.2f}, limit {found.threshold:.2f} for {alarms}"
+    sizes = [say_shift(x, s, u) for x, s, u in zip(found.shift, found.sd, suspects.units, strict=True)]
+    if found.holds:
+        lines = [f"the calibration holds: {test}"]
+    else:
+        sure, moved = PERCENT * found.probability[worst], "moved" if suspects.kind != "parameter" else "shifted"
+        which = f"that it is this {suspects.kind}"
+        lines = [f"{suspects.names[worst]} {moved} by {sizes[worst]} ({sure:.1f} % {which}): {test}"]
+    lines += [f"{name}: {size} if it alone moved" for name, size in zip(suspects.names, sizes, strict=True)]
+    if found.is_odd:
+        lines.append(
+            f"but what was measured fits neither the calibration nor a shift of one {suspects.kind} "
+            f"(probability {found.left_over:.1g}): several of them, a frame or the instrument may be off"
+        )
+    return lines

@@ -1,0 +1,148 @@
+"""Tables of sessions, each declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayescal.files.rows import TableRow, column
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionRow(TableRow, table="sessions"):
+    """A session, or a machine of a population."""
+
+    session: str = column("label of the session", show="name")
+    time_days: float = column("time of the session; NaN where none is stated", "d", show="plain", title="Time")
+    n_poses: int = column("poses measured", show="count", title="Poses")
+    temperature_celsius: float = column(
+        "temperature; NaN where none is stated", "°C", show="fixed 1", title="Temperature"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftScaleRow(TableRow, table="scales"):
+    """A prior scale of the drift."""
+
+    parameter_group: str = column("parameter, or symbol of the parameters, with this scale")
+    unit: str | None = column("unit of the scale; absent where it is µm", default=None)
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    q05: float = column("5 % quantile")
+    q95: float = column("95 % quantile")
+    log_bayes_factor_moved: float = column("log Bayes factor of motion against none, all others free", "nat")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionShiftRow(TableRow, table="shifts"):
+    """A parameter's change between two sessions."""
+
+    since: str = column("earlier session, or mean")
+    session: str = column("later session, or machine")
+    parameter: str = column("name of the parameter")
+    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    q05: float = column("5 % quantile")
+    q95: float = column("95 % quantile")
+    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
+    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegMotionRow(TableRow, table="legs"):
+    """A leg's motion between two sessions, as a change of its length at home."""
+
+    since: str = column("earlier session, or mean")
+    session: str = column("later session, or machine")
+    leg: int = column("number of the leg")
+    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    q05: float = column("5 % quantile")
+    q95: float = column("95 % quantile")
+    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
+    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelMotionRow(TableRow, table="channels"):
+    """A channel's change between two sessions at home."""
+
+    since: str = column("earlier session, or mean")
+    session: str = column("later session, or machine")
+    channel: str = column("name of the channel")
+    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    q05: float = column("5 % quantile")
+    q95: float = column("95 % quantile")
+    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
+    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionParameterRow(TableRow, table="parameters"):
+    """A parameter in a session."""
+
+    session: str = column("label of the session")
+    parameter: str = column("name of the parameter")
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    prior_sd: float = column("prior standard deviation")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExpansionRow(TableRow, table="expansion"):
+    """A body's coefficient of thermal expansion."""
+
+    body: str = column("name of the body", show="text")
+    prior_mean: float = column("prior mean", "ppm/K", show="± prior_sd", title="prior")
+    prior_sd: float = column("prior standard deviation", "ppm/K")
+    mean: float = column("posterior mean", "ppm/K", show="± sd", title="posterior")
+    sd: float = column("posterior standard deviation", "ppm/K")
+    q05: float = column("5 % quantile", "ppm/K")
+    q95: float = column("95 % quantile", "ppm/K")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionErrorRow(TableRow, table="model_error"):
+    """A size of model errors, common to all sessions."""
+
+    error: str = column("name of the size")
+    unit: str = column("unit of the size")
+    mean: float = column("posterior mean")
+    sd: float = column("posterior standard deviation")
+    q05: float = column("5 % quantile")
+    q95: float = column("95 % quantile")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftModelRow(TableRow, table="models"):
+    """A model of what may move, and the checks of its evidence."""
+
+    model: str = column("drift, no drift, or the part that is held still", show="name")
+    log_evidence: float = column("log-evidence", "nat", show="± se", title="Log-evidence")
+    se: float = column("standard error of the log-evidence", "nat")
+    efficiency: float = column(
+        "effective fraction of the draws of scales", show="percent", title="efficiency", group="Scales"
+    )
+    pareto_k: float = column("Pareto k of the weights of scales", show="fixed 2", title="k", group="Scales")
+    exact_efficiency: float = column(
+        "effective fraction of draws reweighted to the exact density",
+        show="percent",
+        title="efficiency",
+        group="Exact density",
+    )
+    exact_pareto_k: float = column(
+        "Pareto k of the weights to the exact density", show="fixed 2", title="k", group="Exact density"
+    )
+
+
+type MotionRow = LegMotionRow | ChannelMotionRow
+"""What moved between two sessions."""
+
+ROWS: tuple[type[TableRow], ...] = (
+    *(SessionRow, DriftScaleRow, SessionShiftRow, LegMotionRow, ChannelMotionRow),
+    *(SessionParameterRow, ExpansionRow, SessionErrorRow, DriftModelRow),
+)
+"""Tables of sessions."""

@@ -1,0 +1,189 @@
+"""A platform on legs that an instrument saw: what was measured, and K and κ from targets on its pads.
+
+What these tell of the joints is deflection, K and κ (RR-8096 eqs. 1 to 4), and what that leaves of the readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from bayescal.data.actuators import check_moves, check_range
+from bayescal.data.instruments.read_points import read_stations
+from bayescal.data.instruments.readings import TrackedPoints, check_places, check_units
+from bayescal.data.measured_poses import MeasuredPoses
+from bayescal.data.photogrammetry.joint_deflection import (
+    JointDeflection,
+    KappaEstimate,
+    MatrixEstimate,
+    fit_linear_deformation,
+    fit_matrix_deformation,
+    measure_joint_deflection,
+)
+from bayescal.data.photogrammetry.poses import PoseExtraction
+from bayescal.density.calibration.terms import CorrelatedNoise, ErrorTerm
+from bayescal.errors import InputError, PoseInputError, name_faults
+from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement, name_data, read_measurement
+from bayescal.experiments.shared.study_schema import PointDataConfig, StudyConfig, TargetDataConfig
+from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.read import load_mechanism
+from bayescal.machines.readings import POSE, InstrumentedMachine, Legs, ReadingModel
+from bayescal.machines.readings.legs import divide_closure
+from bayescal.numerics.geometry import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pads:
+    """What the targets on the pads tell."""
+
+    deflection: JointDeflection  # of every leg's joint at every pose
+    matrix: MatrixEstimate  # K, from the calibration poses
+    kappa: KappaEstimate  # κ, from the calibration poses
+    extraction: PoseExtraction  # the poses of base and platform that the deflection was measured from
+
+    def list_terms(self, model: Legs, poses: MeasuredPoses, verification: np.ndarray) -> tuple[CorrelatedNoise, ...]:
+        """Return what the uncertainty of the rest of K does to readings of all poses; the diagonal is free or nominal.
+
+        A joint that is known to be deflected by δ more than it is shows in its actuator as (∂f/∂ρ)⁻¹ ∂f/∂δ δ. K was
+        measured in the same photographs as the poses for calibration: their errors depend on its own.
+        """
+        machine, mechanism = model.machine, model.machine.mechanism
+        standing, n = mechanism.place_actuators(poses.actuators), model.n_legs
+        basis, displacement = machine.basis(standing), standing - mechanism.initial_actuator_positions
+        rest = np.flatnonzero(~np.eye(n, dtype=bool))
+        design = np.einsum("ij,pk->pijk", np.eye(n), displacement).reshape(len(displacement), n, -1)[..., rest]
+        root = np.linalg.cholesky(self.matrix.covariance[np.ix_(rest, rest)])
+        gain = basis.actuator_gain
+        closure = machine.model.prepare(machine.layout, machine.layout.nominal)
+        less, more = (
+            closure(poses.position, poses.rotation, replace(basis, actuator_gain=one), False).actuators
+            for one in (gain, gain + np.eye(n))
+        )
+        shape = (len(displacement), len(model.channels), len(rest))
+        own, beside = np.zeros(shape), np.zeros(shape)
+        names = list(model.names)
+        legs, seen = ([names.index(one) for one in names if (one in POSE) == of_pose] for of_pose in (False, True))
+        moved = divide_closure(less, (more - less) @ design @ root)
+        own[:, legs] = moved if mechanism.actuator_gains is None else moved / mechanism.actuator_gains[:, None]
+        on_poses = np.linalg.solve(root, self._with_poses(~verification)[:, rest])
+        beside[np.ix_(~verification, seen)] = np.swapaxes(on_poses, -1, -2)
+        return CorrelatedNoise(own + beside), CorrelatedNoise(beside, -1.0)
+
+    def _with_poses(self, used: np.ndarray) -> Array:
+        """Return the covariance of K, row by row, with the errors of its poses in the base frame, (P, N * N, 6)."""
+        assert self.matrix.with_pose is not None
+        rotation = self.extraction.base.rotation[used]
+        moved, turned = np.split(self.matrix.with_pose, 2, axis=-1)
+        return np.concatenate([moved @ rotation, turned @ rotation], axis=-1)
+
+
+def measure_pads(targets: TargetMeasurement, displacement: Array) -> Pads | None:
+    """Return what the targets on the pads tell, at actuator displacements (P, N), mm; None without such targets.
+
+    Raises
+    ------
+    InputError
+        For too few targets on a pad, too few poses, and deflections that are none.
+    """
+    platform, calibration = targets.survey.platform, ~targets.survey.verification
+    on_pad = platform.leg > 0
+    if not on_pad.any():
+        return None
+    deflection = measure_joint_deflection(
+        targets.extraction.platform,
+        platform.reference[on_pad],
+        platform.measured[:, on_pad],
+        platform.leg[on_pad],
+        targets.noise,
+        displacement.shape[1],
+    )
+    chosen, travel = deflection.select(calibration), displacement[calibration]
+    matrix, kappa = fit_matrix_deformation(chosen, travel), fit_linear_deformation(chosen, travel)
+    return Pads(deflection, matrix, kappa, targets.extraction)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenLegs:
+    """What was measured of a mechanism."""
+
+    mechanism: Mechanism
+    measured: Measured
+    needs_matrix: bool  # whether a variant takes K from the targets
+    from_targets: bool
+    reference: str  # where that should be said
+
+    @property
+    def displacement(self) -> Array:
+        """Actuator displacements from the nominal initial positions, shape (P, N), mm."""
+        mechanism = self.mechanism
+        return mechanism.place_actuators(self.measured.poses.actuators) - mechanism.initial_actuator_positions
+
+    @cached_property
+    def pads(self) -> Pads | None:
+        """What the targets on the pads tell; where no variant takes K from them, faults of theirs do not count."""
+        targets = self.measured.targets
+        if targets is None:
+            return None
+        try:
+            return measure_pads(targets, self.displacement)
+        except InputError:
+            if self.needs_matrix:
+                raise
+            return None
+
+    def find_matrix(self) -> Array:
+        """Return K from the targets, mm per mm; InputError where there are none."""
+        if self.pads is None:
+            raise InputError(
+                f"{self.reference}: found no target on a leg's pad, expected some, since deformation.matrix is "
+                "'targets'"
+            )
+        return self.pads.matrix.matrix
+
+    @property
+    def matrix(self) -> Callable[[], Array] | None:
+        """What finds K, where it is taken from the targets; None where it stands in a file."""
+        return self.find_matrix if self.from_targets else None
+
+    def list_terms(self, model: ReadingModel) -> tuple[ErrorTerm, ...]:
+        """Return what the uncertainty of a measured K does to the readings of a machine that uses it."""
+        if not (isinstance(model, Legs) and model.machine.deformation.uses_matrix and self.from_targets):
+            return ()
+        assert self.pads is not None
+        return self.pads.list_terms(model, self.measured.poses, self.measured.verification)
+
+    def check(self, model: ReadingModel, config: StudyConfig, folder: Path) -> None:
+        """Raise InputError where the measurements cannot be in the units that their tables name."""
+        legs, tracked = model.whole if isinstance(model, InstrumentedMachine) else model, self.measured.tracked
+        assert isinstance(legs, Legs)
+        if tracked is None:
+            return
+        data, path = config.measured, name_data(config.measured, folder)
+        check_units(legs.machine, tracked, path)
+        if isinstance(data, PointDataConfig) and isinstance(tracked, TrackedPoints):
+            places = read_stations(None if data.stations is None else folder / data.stations).position
+            check_places(legs.machine, tracked, places, path)
+
+
+def look(config: StudyConfig, folder: Path) -> SeenLegs:
+    """Return what a study's instrument saw of its mechanism; InputError for faults of its files."""
+    mechanism, data = load_mechanism(folder / config.machine), config.measured
+    measured = read_measurement(config, folder, mechanism)
+    poses, used = measured.poses, ~measured.verification
+    with name_faults(name_data(data, folder) if data.actuators is None else folder / data.actuators):
+        check_range(poses.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, poses.names)
+        check_moves(poses.actuators[used])
+    from_targets = config.deformation.matrix == "targets"
+    needed = from_targets and any(one.deformation == "matrix" for one in config.variants)
+    where = str(folder / data.reference) if isinstance(data, TargetDataConfig) else "deformation.matrix"
+    found = SeenLegs(mechanism, measured, needed, from_targets, where)
+    with name_faults(name_data(data, folder)):
+        try:
+            _ = found.pads  # computed now, so that a fault of the targets on the pads shows at once
+        except PoseInputError as error:
+            raise InputError(f"pose {poses.names[error.index]!r}: {error.fault}") from error
+    return found

@@ -1,0 +1,21 @@
+"""The table of a simulation, declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bayescal.files.rows import TableRow, column
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruthRow(TableRow, table="truth"):
+    """A parameter that is off its nominal value."""
+
+    parameter: str = column("name of the parameter", show="name")
+    unit: str = column("unit of the parameter", show="text")
+    nominal: float = column("nominal value", show="fixed 6")
+    true: float = column("true value", show="fixed 6")
+
+
+ROWS: tuple[type[TableRow], ...] = (TruthRow,)
+"""Tables of a simulation."""

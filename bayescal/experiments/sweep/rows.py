@@ -1,0 +1,38 @@
+"""Tables of a sweep, each declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bayescal.files.rows import TableRow, column
+
+type Extent = Literal["everywhere", "nowhere", "up to", "from", "in places"]
+"""Where along an axis a requirement is met."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepMemberRow(TableRow, table="members"):
+    """A member, with a column per axis and a column per figure."""
+
+    others: Mapping[str, float | str] = field(default_factory=dict)
+    state: Literal["done", "not converged", "failed"] = column("state of the member")
+    reason: str = column("why it failed or did not converge; empty if it is done")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepAnswerRow(TableRow, table="answers"):
+    """Where along an axis a figure meets its requirement, with the other axes at some setting."""
+
+    figure: str = column("key of the figure")
+    axis: str = column("name of the axis")
+    setting: str = column("values of the other axes; empty without any")
+    extent: Literal["everywhere", "nowhere", "up to", "from", "in places"] = column("where the requirement is met")
+    bound: float = column("interpolated bound on the axis; NaN without one")
+    met_at: float = column("neighbouring value that meets the requirement; NaN without one")
+    failed_at: float = column("neighbouring value that does not; NaN without one")
+
+
+ROWS: tuple[type[TableRow], ...] = (SweepMemberRow, SweepAnswerRow)
+"""Tables of a sweep."""

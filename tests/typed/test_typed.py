@@ -1,0 +1,39 @@
+"""What type checkers and editors know of the public names: a user's script passes the strictest check."""
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bayescal
+
+HERE = Path(__file__).parent
+
+
+def test_type_checkers_see_the_names_that_python_sees():
+    tree = ast.parse(inspect.getsource(bayescal))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    seen = {one.asname: node.module for node in block.body for one in node.names}
+    assert seen == bayescal._HOMES
+
+
+@pytest.mark.runs
+def test_a_user_s_script_passes_mypy_strict(tmp_path):
+    options = [
+        "--strict",
+        "--follow-imports=silent",
+        f"--cache-dir={tmp_path}",
+        f"--config-file={tmp_path / 'none.ini'}",
+    ]
+    (tmp_path / "none.ini").write_text("[mypy]\n")
+    command = [sys.executable, "-m", "mypy", *options, HERE / "script.py"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=HERE.parents[1])
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_script_names_all_that_is_public():
+    text = (HERE / "script.py").read_text()
+    assert [name for name in bayescal.__all__ if f"bc.{name}" not in text] == []
