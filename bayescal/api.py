@@ -22,12 +22,13 @@ from bayescal.machine_files import AnyMachine, MachineFiles, load_machine
 from bayescal.machines.readings import Channel
 from bayescal.numerics.units import units_like
 from bayescal.results import LoadedResults, StudyResult, wrap_results
-from bayescal.stated import CONFIG, StatedExperiment, Table, name_rows
+from bayescal.stated import StatedExperiment, Table, name_rows
 
 if TYPE_CHECKING:
     import pandas as pd  # tables need it, naming things does not
 
 READINGS = "data/readings.csv"
+NEXT_POSE = "next_pose.toml"
 UNSTATED = {"status": "unstated", "text": "a table given in Python"}
 EVERYTHING = {"everything": {"title": "Everything free"}}
 
@@ -310,13 +311,13 @@ def next_pose(
     Measure one more pose, candidate ...: after 12 poses the requirements hold...
     """
     known = study.stated
-    stated = StatedExperiment(files={**known.files, CONFIG: known.to_toml().encode()})
+    stated = StatedExperiment(files={**known.files, known.file: known.to_toml().encode()}, file=NEXT_POSE)
     stated.state(
         kind="next_pose",
         name="next_pose",
         title=f"{study.summary['title']}: the pose to measure next",
         seed=seed,
-        study=CONFIG,
+        study=known.file,
         variants=[study.best.name],
         requirements=requirements or {},
         candidates={"count": candidates},

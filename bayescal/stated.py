@@ -33,11 +33,13 @@ class StatedExperiment:
     """An experiment that a call states: the content of its config, and the files that this names.
 
     ``labels`` are what the caller knows parts of it by: of a file its argument or its path, of a key its argument.
+    ``file`` is the config's own name beside the files.
     """
 
     content: dict[str, Any] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=lambda: dict(ARGUMENTS))
+    file: str = CONFIG
 
     def state(self, **sections: Any) -> None:
         """Add sections to the content, files and tables in them as names of files."""
@@ -77,14 +79,14 @@ class StatedExperiment:
         from bayescal.experiments.runner.run import add_file_faults
 
         try:
-            yield check_content(self.content, self.root / CONFIG)[1]
+            yield check_content(self.content, self.root / self.file)[1]
         except InputError as error:
             faults = add_file_faults(error, self.content, self.root)
             raise SeveralFaultsError([*dict.fromkeys(self._label(one) for one in faults.lines)]) from None
 
     def _label(self, line: str) -> str:
         """Return a fault with the caller's name of its place: of a row of a table given in Python its number."""
-        said = re.sub(rf"^({re.escape(CONFIG)}: )+", "", line)
+        said = re.sub(rf"^({re.escape(self.file)}: )+", "", line)
         for name in sorted(self.labels, key=len, reverse=True):
             if re.match(rf"{re.escape(name)}(?![\w/])", said):
                 rest, label = said[len(name) :], self.labels[name]
@@ -97,7 +99,7 @@ class StatedExperiment:
         """Return the config as the shell reads it; written with the files to a folder if one is named."""
         text = write_toml(self.content)
         if folder is not None:
-            write_tree({**self.files, CONFIG: text.encode()}, Path(folder))
+            write_tree({**self.files, self.file: text.encode()}, Path(folder))
         return text
 
 

@@ -183,12 +183,14 @@ def test_a_page_goes_into_a_folder_that_is_there(delta, tmp_path):
 
 @pytest.mark.runs
 @pytest.mark.usefixtures("search_little", "no_pictures")
-def test_the_next_pose_is_asked_of_what_was_calibrated():
+def test_the_next_pose_is_asked_of_what_was_calibrated(tmp_path):
     study = calibrate("own file")
     found = bc.next_pose(study, {"x": 0.05, "z": 0.05}, 20, quiet=True)
     assert found.summary["headline"] in repr(found)
     assert found.folder.name == "next_pose"
-    assert 'study = "study.toml"' in found.to_toml()
+    found.to_toml(tmp_path)
+    asked = bc.load_experiment(tmp_path / "next_pose.toml")
+    assert (asked.kind, bc.load_experiment(tmp_path / asked.study).kind) == ("next_pose", "study")
 
 
 SCRIPT = """
