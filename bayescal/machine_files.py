@@ -47,9 +47,7 @@ class MachineFiles:
     def model(self) -> ReadingModel:
         """The machine by its channels; InputError for a mechanism's file, which has none by itself."""
         if isinstance(self.seen, Mechanism):
-            raise InputError(
-                f"{self.entry}: found a mechanism, whose parameters depend on a variant's model, expected kind = 'legs'"
-            )
+            raise InputError(f"{self.entry}: found a mechanism, expected kind = 'legs'")
         return self.seen
 
     @property
@@ -141,8 +139,7 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
         path = Path()
     if not path.is_file():
         raise InputError(
-            f"class {found.__name__}: found no file that defines it, expected one: write it to a file beside the "
-            "notebook and import it from there"
+            f"class {found.__name__}: found no file, expected one: import it from a file beside the notebook"
         )
     name, content = path.name, path.read_bytes()
     if found.__module__ == "__main__":  # a script is not run again for the sake of a class

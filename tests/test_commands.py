@@ -69,13 +69,13 @@ def test_a_config_is_looked_at_without_running_it(call, tmp_path):
     assert (code, complaint) == (0, "")
     assert "fit to run, a study 'tiny' (Tiny study)" in said
     assert "readings in 13 rows for 12 + 78 unknowns of machine and poses: " in said
-    assert "combinations of parameters will be determined" in said
+    assert "combinations will be determined" in said
     assert "data/targets.csv" in said
     assert f"next: bayescal run {path}" in said
     assert "bayescal simulate" in call("validate", tmp_path / "simulate.toml")[1]
     studies.edit(path, "data/actuators.csv", "data/actuator.csv")
     code, said, complaint = call("validate", path)
     assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "actuator.csv: no such file" in complaint
+    assert "actuator.csv:" in complaint
     studies.edit(path, "data/actuator.csv", "data/actuators.csv")
     assert studies.snapshot(tmp_path) == before

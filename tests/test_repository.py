@@ -120,7 +120,7 @@ def test_everything_that_contributing_shows_is_done(call, tmp_path, monkeypatch,
                 assert command == "bayescal"
                 more = ["--workers", "2", "--quiet"] if arguments[0] == "run" else []
                 code, _, complaint = call(*arguments, *more)
-                assert code == 0 or "not everything converged" in complaint, (name, complaint)
+                assert code in (0, 3), (name, complaint)
     found = tmp_path / "results"
     parameters = pd.read_csv(next((found / "arm_by_laser").rglob("parameters.csv")))
     assert "laser_zero" not in set(parameters["parameter"])  # known where it has no tolerance

@@ -71,7 +71,7 @@ def enclose_measured(calibrated: CalibratedMachine) -> Region | None:
     if not found.any():
         return None
     apart = Comparison(model.pose_channels).subtract(pose[found], model.home_pose)
-    words = f"the box of the {len(apart)} poses that calibrated the machine"
+    words = f"the box of {len(apart)} calibration poses"
     return Region(apart.min(axis=0), apart.max(axis=0), words)
 
 
@@ -109,7 +109,7 @@ def measure_beyond(calibrated: CalibratedMachine, commands: Array, known: Region
 
 def box_about_home(half: Array) -> Region:
     """Return the box of half extents (q,) about home, in the coordinates' units."""
-    return Region(-half, half, "the box about home as stated")
+    return Region(-half, half, "the stated box")
 
 
 def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: int) -> Array:
@@ -133,8 +133,7 @@ def sample_region(calibrated: CalibratedMachine, region: Region, n: int, seed: i
             break
     if count < FEWEST:
         raise InputError(
-            f"workspace: found {count} of {TRIES * size} poses of {region.words} in reach of the actuators, expected "
-            f"{FEWEST} at least"
+            f"workspace: found {count} of {TRIES * size} poses of {region.words} in reach, expected {FEWEST}"
         )
     return np.concatenate(kept)[:n]
 
@@ -161,7 +160,7 @@ def sample_range(calibrated: CalibratedMachine, n: int, seed: int) -> Array:
     commands = 0.5 * (low + high) + 0.5 * (high - low) * (2.0 * share[:n] - 1.0)
     _, found = model.locate(calibrated.theta, commands, calibrated.typical(len(commands)))
     if not found.any():
-        raise InputError(f"machine {calibrated.name!r}: found no pose within the range of its commands")
+        raise InputError(f"machine {calibrated.name!r}: found no pose within its command range")
     return np.asarray(commands[found])
 
 
@@ -207,7 +206,7 @@ def compute_budget(
         Base and tool over the same poses, whose motions are then no errors of the geometry.
     """
     if calibrated.covariance is None:
-        raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
+        raise InputError(f"experiment {calibrated.source.experiment}: found no posterior draws")
     check_determined(calibrated)
     curved, m = find_curved(calibrated), len(calibrated.model.tool_channels)
     found: dict[str, list[Array]] = {}
@@ -296,15 +295,15 @@ def check_standards(calibrated: CalibratedMachine) -> str:
     model, n = calibrated.model, len(calibrated.lengths)
     names = ", ".join(one.name for one in model.tool_channels)
     if not 1 <= n <= MOST_LENGTHS:
-        return f"they are of one to three lengths, and the tool ({names}) has {n or 'none'}"
+        return f"they need one to three lengths; the tool ({names}) has {n or 'none'}"
     if len(model.tool_channels) < len(model.coordinates):
-        return f"the tool's {len(model.tool_channels)} numbers ({names}) do not determine the machine's coordinates"
+        return f"the tool ({names}) does not determine the machine's coordinates"
     place = model.home_pose[None]
     _, slopes, _ = model.tool(calibrated.theta, place)
     if np.linalg.matrix_rank(slopes[0, calibrated.lengths] * model.pose_scale) < n or np.linalg.matrix_rank(
         slopes[0] * model.pose_scale
     ) < len(model.tool_channels):
-        return f"the machine cannot move its tool ({names}) along each of these alone"
+        return f"the tool ({names}) cannot move along each axis alone"
     return ""
 
 
@@ -328,7 +327,7 @@ def fit_cube(calibrated: CalibratedMachine, centre: Array, most: float = np.inf)
         return bool(compensate_poses(calibrated, visited, calibrated.typical(len(visited))).reached.all())
 
     if not reaches(0.0):
-        raise InputError("cube: found its centre out of reach, expected a home pose within the actuators' range")
+        raise InputError("cube: found its centre out of reach, expected a home pose in range")
     low, high = 0.0, 1.0
     if np.isfinite(most) and reaches(most):
         low, high = most, most
@@ -376,7 +375,7 @@ def draw_cycles(
     rng, lengths, given = np.random.default_rng(seed), calibrated.lengths, calibrated.typical(len(poses))
     found = compensate_poses(calibrated, poses, given)
     if not found.reached.all():
-        raise InputError(f"cube: found a pose out of reach ({next(one for one in found.faults if one)}), expected none")
+        raise InputError(f"cube: found a pose out of reach ({next(one for one in found.faults if one)})")
     noise = compute_budget(calibrated, found.commands, given).parts[NOISE][:, lengths[:, None], lengths]
     steady = replace(calibrated, errors=calibrated.errors.without_noise())
     machines = draw_machines(steady, n_draws, rng)

@@ -61,7 +61,7 @@ class DrawnMachines(NamedTuple):
 def draw_machines(calibrated: CalibratedMachine, n_draws: int, rng: np.random.Generator) -> DrawnMachines:
     """Return at most so many machines of the posterior; InputError where there are no draws."""
     if calibrated.draws is None:
-        raise InputError(f"experiment {calibrated.source.experiment}: found no draws of its posterior, expected some")
+        raise InputError(f"experiment {calibrated.source.experiment}: found no posterior draws")
     theta, known = calibrated.thin(n_draws), calibrated.functions
     if known is None:
         return DrawnMachines(theta, None)

@@ -115,7 +115,7 @@ def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
 def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return the files of a machine of functions that `read_exported` takes, its class's own among them, by name."""
     if not calibrated.machine_file:
-        raise InputError(f"machine {calibrated.name!r}: found no file that it was read from, expected one")
+        raise InputError(f"machine {calibrated.name!r}: found no machine file, expected one")
     hashes = [hash_file(content) for content in calibrated.files.values()]
     own: dict[str, Any] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
     if calibrated.workspace is not None:
@@ -160,7 +160,7 @@ def format_measured(model: ReadingModel, commands: Array | None, given: Mapping[
 
     Commands are None where they are not known of any pose, or there are none.
     """
-    comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
+    comments = ["Commands of the calibration poses; elsewhere extrapolated"]
     channels = [] if commands is None else [model.channels[k] for k in model.select(model.commanded)]
     values = np.column_stack([*([] if commands is None else [commands]), *given.values()])
     digits = [6 if one.unit == "mm" else 9 for one in channels] + [9] * len(given)
@@ -179,7 +179,7 @@ def read_measured(path: Path, model: ReadingModel) -> tuple[Array | None, dict[s
 def format_matrix(matrix: Array) -> str:
     """Return a deformation matrix (N, N) as a study takes it, in 1e-3."""
     columns = [f"drho_{leg}" for leg in range(1, len(matrix) + 1)]
-    comments = ["Deformation matrix K in 1e-3: deflection of each leg's joint (rows) by each actuator (columns)"]
+    comments = ["Deformation matrix K in 1e-3: joints (rows) by actuators (columns)"]
     return format_table(comments, columns, [[repr(float(k) / PER_MILLE) for k in row] for row in matrix])
 
 
@@ -188,7 +188,7 @@ def format_matrix_covariance(covariance: Array) -> str:
     n = len(covariance)
     columns = ["leg", "actuator", *(f"drho_{k}" for k in range(1, n + 1))]
     rows = [(i + 1, j + 1, *(repr(float(c)) for c in covariance[i, j])) for i in range(n) for j in range(n)]
-    return format_table(["Covariance of the elements of each row of the deformation matrix K, 1"], columns, rows)
+    return format_table(["Covariance of each row of K, 1"], columns, rows)
 
 
 def read_matrix_covariance(path: Path, n_legs: int) -> Array:
@@ -211,7 +211,7 @@ def list_posterior_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     rows = [(name, unit, repr(float(value)), repr(float(s)) if known else "") for name, unit, value, s in columns]
     files = {PARAMETERS: format_table(comments, ["parameter", "unit", "mean", "sd"], rows).encode()}
     if covariance is not None:
-        about = [*comments, "Covariance of the uncertain parameters; lengths in mm, all else in 1"]
+        about = [*comments, "Covariance of the parameters; lengths in mm, else 1"]
         cells = [(name, *map(repr, row.tolist())) for name, row in zip(calibrated.names, covariance, strict=True)]
         files[COVARIANCE] = format_table(about, ["parameter", *calibrated.names], cells).encode()
     if calibrated.draws is not None:
@@ -254,7 +254,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
     content, text = read_toml(path)
     config = check_section(ExportedConfig, content, path, text)
     if (config.mechanism is None) == (config.machine is None):
-        raise InputError(f"{path}: found both or none of mechanism and machine, expected one of them")
+        raise InputError(f"{path}: expected either mechanism or machine")
     model = _read_legs(config, folder) if config.machine is None else read_kept(folder / config.machine, config.sha256)
     theta = model.layout.nominal if config.parameters is None else _read_parameters(folder / config.parameters, model)
     names, covariance = _read_covariance(folder, config.covariance)
@@ -292,7 +292,7 @@ def _read_units(units: Mapping[str, str], path: Path, model: ReadingModel) -> Ma
     known = {one.name: units_like(one.unit) for one in model.channels}
     for name, unit in units.items():
         if unit not in known.get(name, ()):
-            raise InputError(f"{path}: units: found {unit!r} of {name!r}, expected a unit of one of {', '.join(known)}")
+            raise InputError(f"{path}: units: found {unit!r} of {name!r}, expected one of {', '.join(known)}")
     return units
 
 
@@ -303,7 +303,7 @@ def _read_legs(config: ExportedConfig, folder: Path) -> Legs:
     n_legs = mechanism.n_legs
     matrix = None if config.matrix is None else PER_MILLE * read_matrix(folder / config.matrix, n_legs)
     if (matrix is None) == (config.deformation == "matrix"):
-        raise InputError(f"{path}: matrix: found deformation {config.deformation!r}, expected a matrix with it alone")
+        raise InputError(f"{path}: matrix: found deformation {config.deformation!r}, expected no matrix")
     nominal = NominalDeformation(0.0, lambda: np.zeros((n_legs, n_legs)) if matrix is None else matrix)
     with name_faults(path):
         return Legs(
@@ -326,7 +326,7 @@ def _read_parameters(path: Path, model: ReadingModel) -> Array:
     table = read_table(path, ("parameter", "unit", "mean", "sd"))
     names = table.text("parameter")
     if tuple(names) != model.layout.names:
-        raise InputError(f"{path}: found other parameters than those of the machine, expected the same in its order")
+        raise InputError(f"{path}: found other parameters, expected the machine's, in order")
     return _read_large(path, [row[table.columns.index("mean")] for row in table.rows])
 
 
@@ -335,9 +335,9 @@ def _read_large(path: Path, cells: list[str]) -> Array:
     try:
         found = np.array(cells, dtype=np.float64)
     except ValueError as error:
-        raise InputError(f"{path}: cannot be read as numbers ({error})") from error
+        raise InputError(f"{path}: not numeric ({error})") from error
     if not np.isfinite(found).all():
-        raise InputError(f"{path}: found a number that is not finite, expected finite ones")
+        raise InputError(f"{path}: found non-finite numbers, expected finite ones")
     return found
 
 
@@ -351,7 +351,7 @@ def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta:
     if config.correlation is not None:
         correlation = np.array([row for row in config.correlation if len(row) == n])
         if correlation.shape != (n, n):
-            raise InputError(f"{folder / CALIBRATED}: errors.correlation: found another shape, expected {n} by {n}")
+            raise InputError(f"{folder / CALIBRATED}: errors.correlation: expected shape {n} by {n}")
         noise = correlation * np.outer(sd, sd)
         check_covariance(folder / CALIBRATED, model.commanded, noise)
     if not isinstance(model, Legs):
@@ -368,7 +368,7 @@ def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], A
     table = read_table(folder / name, None)
     names = table.columns[1:]
     if table.columns[0] != "parameter" or tuple(table.text("parameter")) != names:
-        raise InputError(f"{folder / name}: found other rows than columns, expected the same parameters in both")
+        raise InputError(f"{folder / name}: found rows that differ from columns, expected equal ones")
     covariance = _read_large(folder / name, [cell for row in table.rows for cell in row[1:]])
     covariance = covariance.reshape(len(names), len(names))
     check_covariance(folder / name, names, covariance)
@@ -396,7 +396,7 @@ def _read_draws(path: Path, names: tuple[str, ...]) -> Array:
 def _read_functions(path: Path, names: tuple[str, ...]) -> KnownFunctions:
     known, beside = _read_netcdf(path, "systematic errors", lambda: read_known(path))
     if tuple(beside) != names or known.n_geometry != len(names):
-        raise InputError(f"{path}: found other parameters than those of the covariance, expected the same in its order")
+        raise InputError(f"{path}: found other parameters, expected the covariance's, in order")
     return known
 
 
@@ -410,24 +410,23 @@ def check_covariance(path: Path, names: Sequence[str], covariance: Array) -> Non
         raise InputError(f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected a finite number")
     variance = np.diagonal(covariance)
     for i in np.flatnonzero(variance < 0.0)[:1]:
-        raise InputError(f"{_where(path, names, i, i)}: found {variance[i]:g}, expected a variance, zero or more")
+        raise InputError(f"{_where(path, names, i, i)}: found {variance[i]:g}, expected a variance ≥ 0")
     sd = np.sqrt(variance)
     product = sd[:, None] * sd
     unlike = np.abs(covariance - covariance.T) > ASYMMETRY * product
     for i, j in np.argwhere(unlike)[:1]:
         raise InputError(
-            f"{_where(path, names, i, j)}: found {covariance[i, j]:g} and across the diagonal {covariance[j, i]:g}, "
-            "expected the same"
+            f"{_where(path, names, i, j)}: found {covariance[i, j]:g} and {covariance[j, i]:g}, expected symmetry"
         )
     for i, j in np.argwhere(np.abs(covariance) > (1.0 - LEAST_EIGENVALUE) * product)[:1]:
         raise InputError(
-            f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected at most {product[i, j]:g}, the product "
-            "of both standard deviations"
+            f"{_where(path, names, i, j)}: found {covariance[i, j]:g}, expected at most "
+            f"{product[i, j]:g} (product of sds)"
         )
     known = np.flatnonzero(product.diagonal() > 0.0)
     correlation = covariance[np.ix_(known, known)] / product[np.ix_(known, known)]
     if len(known) and np.linalg.eigvalsh(correlation)[0] < LEAST_EIGENVALUE * len(known):
-        raise InputError(f"{path}: found correlations that no data can have together, expected those of a covariance")
+        raise InputError(f"{path}: found an indefinite matrix, expected a covariance")
 
 
 def _where(path: Path, names: Sequence[str], row: int, column: int) -> str:

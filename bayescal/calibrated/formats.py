@@ -29,11 +29,10 @@ from bayescal.numerics.geometry import Array
 UNITS = {"1": "", "mm": "_mm", "rad": "_rad", "N": "_n", "N mm2": "_n_mm2"}
 STRUTS = 6
 HELP = (
-    "LinuxCNC genhexkins; units are mm. Load after `loadrt genhexkins`, for example by [HAL] HALFILE of the INI file.",
-    "A joint's position is the length of its strut: joint N = length N + actuator position - initial position,",
-    "where an actuator position is what bayescal's tables call rho_(N+1)_mm.",
+    "LinuxCNC genhexkins, mm. Load after `loadrt genhexkins`.",
+    "Joint N = length N + rho_(N+1)_mm - initial position.",
 )
-GAINED = "Of actuators with gains it is joint N = length N + gain N * (actuator position - initial position)."
+GAINED = "With gains: joint N = length N + gain N * (actuator position - initial position)."
 METRE = 1e-3  # m per mm
 ORIGIN = np.zeros(3)
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -125,14 +124,14 @@ def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[s
     with name_faults(f"format {what}"):
         machine, variant = calibrated.legs, calibrated.source.variant
     if machine.mechanism.drive not in drives:
-        raise InputError(f"format {what}: found actuators at the base in variant {variant!r}, expected struts")
+        raise InputError(f"format {what}: found base actuators in variant {variant!r}, expected struts")
     if not isinstance(machine.model, SixPus | SixUps):
         raise InputError(
-            f"format {what}: found model {machine.model.name!r} in variant {variant!r}, "
-            f"expected one of perfect joints, {SixPus.name} or {SixUps.name}"
+            f"format {what}: found model {machine.model.name!r} in variant {variant!r}, expected "
+            f"perfect joints, {SixPus.name} or {SixUps.name}"
         )
     if not isinstance(machine.deformation, NoDeformation):
-        raise InputError(f"format {what}: found a platform that bends in variant {variant!r}, expected a rigid one")
+        raise InputError(f"format {what}: found a flexible platform in variant {variant!r}, expected a rigid one")
 
 
 def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
@@ -174,10 +173,10 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     home = check_home_pose(calibrated.legs)
     robot = Xml.Element("robot", name=mechanism.name)
     gains = mechanism.actuator_gains
-    said = [*calibrated.source.describe(), "Lengths in m, angles in rad; all joints are zero at home."]
+    said = [*calibrated.source.describe(), "Lengths in m, angles in rad; joints zero at home."]
     if gains is not None:  # joints of the tree have the true travel
         each = ", ".join(f"leg {k} {float(gain)!r}" for k, gain in enumerate(gains, start=1))
-        said.append(f"An actuator's joint is its gain times what it reads beyond its initial position: {each}.")
+        said.append(f"Joint = gain * (actuator reading - initial position): {each}.")
     for comment in said:
         robot.append(Xml.Comment(f" {comment.replace('--', '- -')} "))
     for name in ("base", "platform"):

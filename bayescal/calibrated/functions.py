@@ -197,23 +197,23 @@ class KnownFunctions:
         """Return all that are numbers by name, with names of their dimensions, unit and what they are."""
         both, unit = ("entry", "other_entry"), "channel's unit"
         return {
-            "home": (("channel",), self.home, unit, "readings in the middle of the workspace"),
-            "range": (("channel",), self.range, unit, "how far readings go from end to end"),
-            "levers": (("channel",), self.levers, "mm", "motion of the tool by a unit of the channel"),
+            "home": (("channel",), self.home, unit, "readings mid-workspace"),
+            "range": (("channel",), self.range, unit, "range of readings"),
+            "levers": (("channel",), self.levers, "mm", "tool motion per channel unit"),
             "covered": (
                 ("channel", "other_channel"),
                 self.covered,
                 "1",
-                "whether an error linear in it is a parameter",
+                "whether a linear error is free",
             ),
-            "travel": (("row", "channel"), self.travel, "1", "readings from home in units of the range"),
+            "travel": (("row", "channel"), self.travel, "1", "scaled readings from home"),
             "time": (("row",), self.time, "1", "place in measuring order"),
             "square": (("sort",), self.square, "mm2", "variance at the tool"),
-            "drifts": (("quantile",), self.drifts, "1", "sizes of a drift over the root of its mean variance"),
-            "independent": (("channel",), self.independent, f"{unit} squared", "variance of errors from pose to pose"),
+            "drifts": (("quantile",), self.drifts, "1", "drift sizes / rms"),
+            "independent": (("channel",), self.independent, f"{unit} squared", "random error variance"),
             "mean": (("coefficient",), self.mean, "mm", "of coefficients of functions"),
-            "covariance": (both, self.covariance, "1", "of parameters in their units, then of coefficients"),
-            "smooth": (("row", "column"), self._smooth(), "1", "columns of smooth functions at the rows"),
+            "covariance": (both, self.covariance, "1", "parameters, then coefficients"),
+            "smooth": (("row", "column"), self._smooth(), "1", "smooth functions by row"),
         }
 
     @classmethod

@@ -47,14 +47,14 @@ def find_export_obstacle(machine: Machine) -> str:
     compromise, weighed at the nominal machine (see `models.home`): with other drawings it is another one.
     """
     if type(machine.model) not in MODELS.values() or type(machine.deformation) not in DEFORMATIONS.values():
-        return "a model or user-defined deformation, whose parameters no mechanism's file holds, expected built-in ones"
+        return "a user-defined model or deformation, expected built-in ones"
     if isinstance(machine.deformation, FreeMatrixDeformation):
-        return "deformation 'free_matrix', whose parameters no mechanism's file holds, expected 'matrix' or another"
+        return "deformation 'free_matrix', expected 'matrix' or another"
     perfect = isinstance(machine.model, SixPus | SixUps)
     if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not perfect:
         return (
-            f"model {machine.model.name!r} of {machine.mechanism.n_legs} legs, which refers to the nominal home pose, "
-            f"expected {DEGREES_OF_FREEDOM} legs or perfect joints"
+            f"model {machine.model.name!r} of {machine.mechanism.n_legs} legs, expected "
+            f"{DEGREES_OF_FREEDOM} legs or perfect joints"
         )
     return ""
 
@@ -312,7 +312,7 @@ class CalibratedMachine:
     def legs(self) -> Machine:
         """The machine on legs; InputError where it is none."""
         if not isinstance(self.model, Legs):
-            raise InputError(f"machine {self.name!r}: found a machine of functions, expected a mechanism on legs")
+            raise InputError(f"machine {self.name!r}: found no legs, expected a mechanism")
         return self.model.machine
 
     @cached_property
@@ -369,7 +369,7 @@ class CalibratedMachine:
         """
         for name in self.model.given:
             if name not in self.given:
-                raise InputError(f"machine {self.name!r}: found no {name}, expected its value at each pose")
+                raise InputError(f"machine {self.name!r}: found no {name}, expected it at each pose")
         return {name: np.full(n, np.median(self.given[name])) for name in self.model.given}
 
     def thin(self, n: int) -> Array:

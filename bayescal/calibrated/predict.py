@@ -151,8 +151,8 @@ def check_determined(calibrated: CalibratedMachine) -> None:
     model, n = calibrated.model, len(calibrated.commanded)
     q = len(model.coordinates)
     if not q:
-        uses = "; bayescal compensate says what its channels read" if n else ""
-        raise InputError(f"machine {calibrated.name!r}: not meaningful: it has no coordinates, and so no pose{uses}")
+        uses = "; bayescal compensate gives its readings" if n else ""
+        raise InputError(f"machine {calibrated.name!r}: not meaningful: no pose coordinates{uses}")
     if n < q:
         stated = ", ".join(model.commanded) or "none"
         raise InputError(
@@ -346,8 +346,7 @@ def compensate_poses(
     model = calibrated.model
     if not len(calibrated.commanded):
         raise InputError(
-            f"machine {calibrated.name!r}: not meaningful: all its channels are external, expected some that a "
-            "controller commands"
+            f"machine {calibrated.name!r}: not meaningful: found external channels only, expected commanded ones"
         )
     coordinates = coordinates or is_pose(calibrated)
     wanted = model.pose_channels if coordinates else model.tool_channels
@@ -355,8 +354,9 @@ def compensate_poses(
     check_given(calibrated, given, len(poses))
     if not coordinates and len(wanted) < len(model.coordinates):
         raise InputError(
-            f"machine {calibrated.name!r}: not meaningful: the tool's {len(wanted)} numbers do not determine its "
-            f"{len(model.coordinates)} coordinates, expected these: {', '.join(one.name for one in model.coordinates)}"
+            f"machine {calibrated.name!r}: not meaningful: {len(wanted)} tool numbers for "
+            f"{len(model.coordinates)} coordinates, expected "
+            f"{', '.join(one.name for one in model.coordinates)}"
         )
     curved = find_curved(calibrated)
     parts = [
@@ -374,7 +374,7 @@ def _command_some(
     pose, there = (wanted, np.ones(len(wanted), dtype=bool)) if coordinates else place_tool(calibrated, wanted)
     commands = model.read(theta, pose, given)[:, calibrated.commanded]
     faults = [
-        fault if one else "the tool does not come there"
+        fault if one else "unreachable"
         for fault, one in zip(model.find_faults(theta, pose, commands, given), there, strict=True)
     ]
     at = linearise_place(calibrated, pose, np.isfinite(commands).all(axis=1), commands, given)
@@ -531,14 +531,14 @@ def check_shape(values: Array, names: list[str], what: str) -> None:
     if values.ndim != 2 or values.shape[1] != len(names):
         raise InputError(f"{what}: found shape {values.shape}, expected (poses, {len(names)}): {', '.join(names)}")
     if not len(values):
-        raise InputError(f"{what}: found none, expected at least one")
+        raise InputError(f"{what}: found none")
 
 
 def check_given(calibrated: CalibratedMachine, given: Given, n: int) -> None:
     """Raise InputError where what the machine has to know is not given at each of n poses."""
     for name in calibrated.model.given:
         if name not in given or np.shape(given[name]) != (n,):
-            raise InputError(f"machine {calibrated.name!r}: found no {name} of each of {n} poses, expected it in given")
+            raise InputError(f"machine {calibrated.name!r}: found no {name} for {n} poses, expected it in given")
 
 
 def split(n: int, size: int = CHUNK) -> Iterator[slice]:

@@ -73,7 +73,7 @@ def read_quantities(table: CsvTable, wanted: Sequence[Channel | Coordinate], pre
         values[:, turned] = read_rotation_vectors(table, prefix)
         whole = np.isfinite(values[:, turned]).all(axis=1)
         expected = ", ".join(f"{prefix}{name}" for name in VECTOR)
-        table.refuse(~whole, lambda _: f"found no whole rotation, expected {expected}")
+        table.refuse(~whole, lambda _: f"found part of a rotation, expected {expected}")
     return values
 
 
@@ -101,7 +101,7 @@ def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tup
             hint = f", did you mean {close[0]!r}?" if close else ""
             raise InputError(f"{path}: found column {name!r}{hint}, expected pose, {', '.join(expected)}")
     if "pose" not in table.columns:
-        raise InputError(f"{path}: found no column 'pose', expected the poses' names")
+        raise InputError(f"{path}: found no column 'pose'")
     names = table.text("pose")
     table.check_unique([(name,) for name in names], "pose")
     return table, tuple(names)
@@ -151,8 +151,9 @@ def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
         one = model.tool_channels[m]
         unit, size = show_unit(calibrated, one)
         raise InputError(
-            f"{table.where(int(k))}: {TOOL}{name_column(calibrated, one)}: found {tool[k, m] / size:.6g} where the "
-            f"coordinates have it at {own[k, m] / size:.6g} {unit}, expected the same pose, or one of both alone"
+            f"{table.where(int(k))}: {TOOL}{name_column(calibrated, one)}: found "
+            f"{tool[k, m] / size:.6g}, by the coordinates {own[k, m] / size:.6g} {unit}, expected the "
+            "same, or either"
         )
 
 
@@ -179,7 +180,7 @@ def check_reached(commanded: CommandedPoses, command: PoseCommands) -> None:
     listed = [f"line {lines[k]}, pose {names[k]!r}: {command.faults[k]}" for k in lost[:NAMED]]
     more = f"; and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
     raise InputError(
-        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach, expected none "
+        f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach "
         f"(--allow-unreachable marks them): {'; '.join(listed)}{more}"
     )
 
@@ -190,8 +191,7 @@ def check_found(path: Path, names: Sequence[str], prediction: PosePrediction) ->
     if lost:
         more = f" and {len(lost) - NAMED} more" if len(lost) > NAMED else ""
         raise InputError(
-            f"{path}: found no pose of the machine at {', '.join(lost[:NAMED])}{more}, expected commands that close on "
-            "home's branch"
+            f"{path}: found no pose at {', '.join(lost[:NAMED])}{more}, expected commands on home's branch"
         )
 
 
@@ -211,7 +211,7 @@ def format_command(
     ]
     comments = [
         *calibrated.source.describe(),
-        "Commands that hold the poses: posterior mean, and standard deviation (sd) by geometry, model error and noise",
+        "Commands that hold the poses: posterior mean, sd",
         "of the actuators' readings.",
     ]
     columns = ["pose", REACHED, *given, *(name_column(calibrated, one) for one in channels), *_name_sd(channels)]
@@ -245,18 +245,14 @@ def format_prediction(
             sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
             cells = np.concatenate([cells, sd], axis=1)
         rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
-    about = (
-        "Predicted coordinates of the machine."
-        if whole
-        else "Predicted tool (tool_...) and coordinates of the machine."
-    )
+    about = "Predicted coordinates." if whole else "Predicted tool (tool_...) and coordinates."
     if isinstance(model, Legs):
-        about = "Predicted pose of the platform frame in the base frame; position in mm, rotation vector in degrees."
+        about = "Predicted platform pose in the base frame; mm, rotation vector in degrees."
     comments = [
         *calibrated.source.describe(),
         about,
-        "cov: covariance in µm and µrad, that of a rotation vector about the base axes: geometry, model error,",
-        "noise of the actuators' readings.",
+        "cov: covariance in µm and µrad, base axes: geometry, model error,",
+        "actuator noise.",
     ]
     return format_table(comments, columns, rows)
 
@@ -274,7 +270,7 @@ def format_draws(calibrated: CalibratedMachine, names: Sequence[str], tools: Arr
         rows += [
             (name, draw, *_format_values(calibrated, row, channels)) for name, row in zip(names, some, strict=True)
         ]
-    comments = [*calibrated.source.describe(), "Poses by draws of the posterior; rotation vectors in degrees."]
+    comments = [*calibrated.source.describe(), "Poses by posterior draws; rotation vectors in degrees."]
     return format_table(comments, ["pose", "draw", *(prefix + name_column(calibrated, one) for one in channels)], rows)
 
 

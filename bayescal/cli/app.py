@@ -27,13 +27,13 @@ from bayescal.limits import LARGEST_SEED
 app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
-    help="Bayesian identification of parallel-kinematic machines.",
+    help="Bayesian calibration of machines.",
 )
 
 WIDTH, WIDE = 120, 160
 """Of what is printed where there is no terminal; comparisons are wide."""
 
-OWN_FAULT = "a fault of bayescal, or of a user-defined class"
+OWN_FAULT = "a bug of bayescal or a user-defined class"
 TRACEBACK = "BAYESCAL_TRACEBACK"
 """Environment variable that shows where in the code a fault of bayescal's own is."""
 
@@ -50,7 +50,7 @@ def _show_version(wanted: bool) -> None:
 def begin(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and end.")
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
     ] = False,
     no_custom_code: NoCustomCode = False,
     trust: Trust = False,
@@ -96,7 +96,7 @@ def _ask(question: str) -> bool:
 
 
 Experiment = Annotated[Path, typer.Argument(metavar="EXPERIMENT.toml", help="Config of the experiment.")]
-Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed instead of the config's.")]
+Seed = Annotated[int | None, typer.Option(min=0, max=LARGEST_SEED, help="Seed; default the config's.")]
 NoCustomCode = Annotated[
     bool,
     typer.Option(
@@ -104,7 +104,7 @@ NoCustomCode = Annotated[
         envvar="BAYESCAL_NO_CUSTOM_CODE",
         callback=_forbid_custom_code,
         is_eager=True,
-        help="Refuse custom classes: import no code that a file names.",
+        help="Refuse custom classes.",
     ),
 ]
 
@@ -116,15 +116,15 @@ Trust = Annotated[
         "--trust-code",
         callback=_trust_code,
         is_eager=True,
-        help=f"Run the code of files that config or results name, trusted or not; {TRUST}=1 does the same.",
+        help=f"Run named code files, trusted or not; like {TRUST}=1.",
     ),
 ]
 
 
-AllowUnconverged = Annotated[bool, typer.Option("--allow-unconverged", help="Use a posterior that did not converge.")]
+AllowUnconverged = Annotated[bool, typer.Option("--allow-unconverged", help="Use an unconverged posterior.")]
 AllowChangedFiles = Annotated[
     bool,
-    typer.Option("--allow-changed-files", help="Use results although files changed; a warning lists them."),
+    typer.Option("--allow-changed-files", help="Use changed files, with a warning."),
 ]
 
 
@@ -134,16 +134,12 @@ class RunOptions:
 
     out: Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")] = None
     seed: Seed = None
-    workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Processes side by side; default one per core.")
-    ] = None
+    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; default one per core.")] = None
     dask_scheduler: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS", help="Dask scheduler: its address, its JSON file, or local:N. Its workers compute."
-        ),
+        typer.Option(metavar="ADDRESS", help="Dask scheduler address, JSON file, or local:N."),
     ] = None
-    resume: Annotated[bool, typer.Option("--resume", help="Take up an interrupted run of the same config.")] = False
+    resume: Annotated[bool, typer.Option("--resume", help="Resume an interrupted run.")] = False
     quiet: Annotated[
         bool, typer.Option("--quiet", callback=_be_quiet, is_eager=True, help="Print nothing but errors.")
     ] = False
@@ -188,7 +184,7 @@ def check_out(out: Path | None) -> None:
         if out.is_dir():
             raise InputError(f"{out}: is a directory, expected a file name")
         if out.is_symlink() and not out.exists():
-            raise InputError(f"{out}: is a link that leads nowhere, expected a file name")
+            raise InputError(f"{out}: found a broken link, expected a file name")
         check_writable(out.parent)
 
 
@@ -223,16 +219,14 @@ def main() -> None:
     except BayescalError as error:
         code = _complain(str(error), error.exit_code)
     except OSError as error:  # a file or directory that may not be read or written, a full disk
-        where = error.filename or "a file of the results"
+        where = error.filename or "a results file"
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         code = _complain(
-            f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write there'}",
+            f"{where}: {error.strerror}, expected {'room to write' if full else 'to read or write'}",
             NumericalError.exit_code if full else InputError.exit_code,
         )
     except MemoryError:
-        code = _complain(
-            "found too little memory, expected a smaller task or a larger machine", NumericalError.exit_code
-        )
+        code = _complain("found too little memory, expected a smaller task", NumericalError.exit_code)
     except (KeyboardInterrupt, typer.Abort):
         code = _complain("interrupted", INTERRUPTED)
     except Exception as error:
@@ -240,8 +234,8 @@ def main() -> None:
             raise
         where = traceback.extract_tb(error.__traceback__)[-1]
         code = _complain(
-            f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): {OWN_FAULT}, "
-            f"expected a line that says what is wrong; please report it with what {TRACEBACK}=1 shows",
+            f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno}): "
+            f"{OWN_FAULT}; please report with {TRACEBACK}=1",
             NumericalError.exit_code,
         )
     finally:

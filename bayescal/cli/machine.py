@@ -23,12 +23,10 @@ if TYPE_CHECKING:
     from bayescal.density.calibration.measurements import Measurements
     from bayescal.numerics.geometry import Array
 
-Calibrated = Annotated[
-    Path, typer.Argument(metavar="RESULTS", help="Results of a study or calibration, or a machine that export wrote.")
-]
+Calibrated = Annotated[Path, typer.Argument(metavar="RESULTS", help="Results, or an exported machine.")]
 COPIES, OF_A_DRAW = 6, 120
 """How often a pose's covariance is there, text among it, and doubles of a draw's pose and its text."""
-Table = Annotated[Path | None, typer.Option(help="CSV file; default standard output.")]
+Table = Annotated[Path | None, typer.Option(help="CSV file; default stdout.")]
 
 DEFAULT_UM, DEFAULT_ARCSEC, DEFAULT_SD = 20.0, 20.0, 10.0
 
@@ -37,15 +35,15 @@ DEFAULT_UM, DEFAULT_ARCSEC, DEFAULT_SD = 20.0, 20.0, 10.0
 class MachineOptions:
     """Which machine of some results is taken, and whether it may be."""
 
-    variant: Annotated[str | None, typer.Option(help="Variant by its name; default the best.")] = None
+    variant: Annotated[str | None, typer.Option(help="Variant; default the best.")] = None
     experiment: Annotated[
         Path | None,
-        typer.Option(help="Config of results that do not hold the nominal machine."),
+        typer.Option(help="Study config, where results lack the machine."),
     ] = None
     allow_unconverged: AllowUnconverged = False
     allow_changed_files: AllowChangedFiles = False
     trust: Trust = False
-    mode: Annotated[int | None, typer.Option(min=1, help="Which of several solutions; 1 is the most probable.")] = None
+    mode: Annotated[int | None, typer.Option(min=1, help="Solution; 1 is most probable.")] = None
 
     def load(self, results: Path, with_instruments: bool = False) -> CalibratedMachine:
         """Return the machine; see `load_calibrated`."""
@@ -89,14 +87,10 @@ def export(
 @spread_options
 def compensate(
     results: Calibrated,
-    poses: Annotated[
-        Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... rz_deg, or a tool's tool_x_mm ...")
-    ],
+    poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="pose, x_mm ... rz_deg, or tool_x_mm ...")],
     options: MachineOptions,
     out: Table = None,
-    allow_unreachable: Annotated[
-        bool, typer.Option("--allow-unreachable", help="Mark unreachable poses instead of refusing them.")
-    ] = False,
+    allow_unreachable: Annotated[bool, typer.Option("--allow-unreachable", help="Mark unreachable poses.")] = False,
 ) -> None:
     """Compute the corrected actuator positions that hold wanted poses, and their uncertainty."""
     from bayescal.calibrated.predict import compensate_poses
@@ -120,9 +114,9 @@ def predict(
     commands: Annotated[Path, typer.Argument(metavar="COMMANDS.csv", help="pose, rho_1_mm, rho_2_mm ...")],
     options: MachineOptions,
     out: Table = None,
-    draws_out: Annotated[Path | None, typer.Option(help="CSV file for poses by draws of the posterior.")] = None,
-    n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many of them.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of the draws' errors.")] = 0,
+    draws_out: Annotated[Path | None, typer.Option(help="CSV file for posterior draws.")] = None,
+    n_draws: Annotated[int, typer.Option(min=1, max=100_000, help="How many.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of draws' errors.")] = 0,
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
     from bayescal.calibrated.drawn_machines import draw_poses
@@ -157,7 +151,7 @@ def _check_many(n_poses: int, n_draws: int, calibrated: CalibratedMachine) -> No
 def _tell_missing(results: Path, calibrated: CalibratedMachine) -> None:
     """Say on standard error that there is no covariance, and why."""
     if calibrated.covariance is None:
-        echo(f"{results}: no draws of the posterior (posterior/*.nc): without covariance and draws", err=True)
+        echo(f"{results}: no posterior draws: without covariance", err=True)
 
 
 @app.command(epilog="Example: bayescal certificate results/m2_hexapod --out certificate.html")
@@ -166,24 +160,18 @@ def certificate(
     results: Calibrated,
     options: MachineOptions,
     out: Annotated[
-        Path | None, typer.Option(help="HTML file, its numbers beside it as JSON; default certificate-...html.")
+        Path | None, typer.Option(help="HTML file, with JSON beside it; default certificate-NAME.html.")
     ] = None,
-    coverage: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Probability of what is stated.")] = 0.95,
-    cube: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm; default the largest.")
-    ] = None,
+    coverage: Annotated[float, typer.Option(min=0.5, max=0.9999, help="Coverage probability.")] = 0.95,
+    cube: Annotated[float | None, typer.Option(min=1e-3, max=1e5, help="Edge of ISO 9283's cube, mm.")] = None,
     position_mm: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="Half extents about home in x, y, z; default the box of the measured poses."),
+        typer.Option(help="Half extents about home; default the measured box."),
     ] = None,
-    rotation_deg: Annotated[
-        tuple[float, float, float] | None, typer.Option(help="Half extents of the rotation vector, with --position-mm.")
-    ] = None,
-    full_range: Annotated[
-        bool, typer.Option("--full-range", help="The full range of the actuators, measured or not.")
-    ] = False,
-    poses: Annotated[int, typer.Option(min=16, max=100_000, help="Poses of the workspace.")] = 512,
-    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Of poses and draws.")] = 0,
+    rotation_deg: Annotated[tuple[float, float, float] | None, typer.Option(help="With --position-mm.")] = None,
+    full_range: Annotated[bool, typer.Option("--full-range", help="Full actuator range.")] = False,
+    poses: Annotated[int, typer.Option(min=16, max=100_000, help="Workspace poses.")] = 512,
+    seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED - 2, help="Random seed.")] = 0,
 ) -> None:
     """Certify how sure the poses of a calibrated machine are: budget, expanded uncertainty, ISO figures."""
     from bayescal.experiments.shared.certificate import CertificateOptions, build_certificate, certify, state_headline
@@ -192,7 +180,7 @@ def certificate(
 
     calibrated = options.load(results)
     if out is not None and out.suffix != ".html":
-        raise InputError(f"--out: found {out.name!r}, expected a name that ends with .html; the numbers go beside it")
+        raise InputError(f"--out: found {out.name!r}, expected NAME.html")
     where = out or Path(f"certificate-{calibrated.source.stem}.html")
     check_out(where)
     region = _read_region(calibrated, position_mm, rotation_deg, full_range)
@@ -217,15 +205,15 @@ def _read_region(
     from bayescal.calibrated.accuracy import box_about_home
 
     if full_range and (position_mm or rotation_deg):
-        raise InputError("--full-range: found beside --position-mm or --rotation-deg, expected either")
+        raise InputError("--full-range: found with --position-mm or --rotation-deg, expected either")
     if position_mm is None:
         if rotation_deg is not None:
-            raise InputError("--rotation-deg: found without --position-mm, expected both")
+            raise InputError("--rotation-deg: expected --position-mm as well")
         return None
     turned = rotation_deg or (0.0, 0.0, 0.0)
     for name, values in (("--position-mm", position_mm), ("--rotation-deg", turned)):
         if not all(isfinite(value) and value >= 0.0 for value in values):
-            raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected half extents of 0 or more")
+            raise InputError(f"{name}: found {' '.join(f'{v:g}' for v in values)}, expected non-negative half extents")
     units = [one.unit for one in calibrated.model.coordinates]
     half = np.zeros(len(units))
     for unit, name, extents in (
@@ -237,7 +225,7 @@ def _read_region(
             half[places] = extents
         elif unit == "mm" or places or rotation_deg is not None:
             names = ", ".join(one.name for one in calibrated.model.coordinates)
-            raise InputError(f"{name}: found three for coordinates {names}, expected a machine with three of that kind")
+            raise InputError(f"{name}: found three for {names}, expected three such coordinates")
     return box_about_home(half)
 
 
@@ -246,46 +234,30 @@ def _read_region(
 def verify(
     results: Calibrated,
     options: MachineOptions,
-    measured: Annotated[
-        list[Path] | None, typer.Option(help="CSV file of readings, of poses for legs, once per session: judge them.")
-    ] = None,
+    measured: Annotated[list[Path] | None, typer.Option(help="CSV file of measurements; repeat per session.")] = None,
     actuators: Annotated[
         Path | None,
-        typer.Option(help="CSV with the commanded actuator positions (the plan), where --measured lacks them."),
+        typer.Option(help="CSV with commanded actuator positions."),
     ] = None,
-    position_um: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured position, for legs.")
-    ] = None,
-    orientation_arcsec: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e5, help="Standard deviation of a measured rotation.")
-    ] = None,
+    position_um: Annotated[float | None, typer.Option(min=1e-3, max=1e5, help="Position noise (sd).")] = None,
+    orientation_arcsec: Annotated[float | None, typer.Option(min=1e-3, max=1e5, help="Rotation noise (sd).")] = None,
     orientation_urad: Annotated[
-        float | None, typer.Option(min=1e-3, max=1e6, help="The same in microradians, instead of arcseconds.")
+        float | None, typer.Option(min=1e-3, max=1e6, help="Rotation noise in microradians.")
     ] = None,
-    noise_from: Annotated[
-        Path | None, typer.Option(help="CSV file of readings whose noise a plan takes, instead of the options.")
-    ] = None,
-    sensors: Annotated[
-        list[str] | None, typer.Option(help="Sensor channels to use, without legs; default all of known noise.")
-    ] = None,
+    noise_from: Annotated[Path | None, typer.Option(help="CSV of readings whose noise is used.")] = None,
+    sensors: Annotated[list[str] | None, typer.Option(help="Channels; default all of known noise.")] = None,
     parameters: Annotated[
         list[str] | None,
-        typer.Option(help="Symbols or parameters under test; default the legs' lengths, or all free ones."),
+        typer.Option(help="Parameters under test; default leg lengths, or all free."),
     ] = None,
-    shift_um: Annotated[float | None, typer.Option(min=1e-2, max=1e5, help="Shift of a length; default 20.")] = None,
-    shift_arcsec: Annotated[float | None, typer.Option(min=1e-3, max=1e6, help="Of an angle; default 20.")] = None,
-    shift_sd: Annotated[
-        float | None, typer.Option(min=1e-2, max=1e6, help="In standard deviations of the posterior; default 10.")
-    ] = None,
-    power: Annotated[float, typer.Option(min=0.1, max=0.999, help="Probability of finding it.")] = 0.95,
-    false_alarm: Annotated[float, typer.Option(min=1e-3, max=0.5, help="Of all sessions together.")] = 0.01,
-    sessions: Annotated[int, typer.Option(min=1, max=12, help="Sessions of the same poses to find it in.")] = 2,
-    candidates: Annotated[
-        Path | None, typer.Option(help="CSV file of commands to choose from: pose, rho_1_mm ...")
-    ] = None,
-    range_fraction: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="Fraction of the commands' range, without --candidates.")
-    ] = 0.9,
+    shift_um: Annotated[float | None, typer.Option(min=1e-2, max=1e5, help="Length shift; default 20.")] = None,
+    shift_arcsec: Annotated[float | None, typer.Option(min=1e-3, max=1e6, help="Angle shift; default 20.")] = None,
+    shift_sd: Annotated[float | None, typer.Option(min=1e-2, max=1e6, help="In posterior sd; default 10.")] = None,
+    power: Annotated[float, typer.Option(min=0.1, max=0.999, help="Detection probability.")] = 0.95,
+    false_alarm: Annotated[float, typer.Option(min=1e-3, max=0.5, help="False alarm probability.")] = 0.01,
+    sessions: Annotated[int, typer.Option(min=1, max=12, help="Sessions of the same poses.")] = 2,
+    candidates: Annotated[Path | None, typer.Option(help="CSV file of commands: pose, rho_1_mm ...")] = None,
+    range_fraction: Annotated[float, typer.Option(min=0.01, max=1.0, help="Fraction of the command range.")] = 0.9,
     out: Table = None,
 ) -> None:
     """Plan the fewest poses that show whether a calibration still holds, or judge what was measured at them."""
@@ -304,7 +276,7 @@ def verify(
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
     calibrated = options.load(results, with_instruments=True)
     if calibrated.covariance is None:
-        raise InputError(f"{results}: found no draws of the posterior (posterior/*.nc), expected those of a run")
+        raise InputError(f"{results}: found no posterior draws, expected posterior/*.nc")
     check_out(out)
     suspects = choose_suspects(calibrated, parameters or [])
     legs = isinstance(calibrated.model, Legs)
@@ -330,8 +302,8 @@ def verify(
         if sensors is None and len(unknown) and np.isfinite(sd).sum() <= len(calibrated.model.coordinates):
             one = calibrated.model.channels[unknown[0]]
             raise InputError(
-                f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with readings of it "
-                f"and a column {one.stem}_sd_{one.unit}"
+                f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with "
+                f"column {one.stem}_sd_{one.unit}"
             )
         planned = expect_readings(sd)
     commands, given = (
@@ -360,7 +332,7 @@ def _demand(
 
     um, arcsec, in_sd = stated
     if sum(one is not None for one in stated) > 1:
-        raise InputError("verify: found the shift in several units, expected one of --shift-um, -arcsec and -sd")
+        raise InputError("verify: expected one of --shift-um, --shift-arcsec and --shift-sd")
     units = set(suspects.units)
     if not any(one is not None for one in stated) and suspects.stated:
         um, arcsec = DEFAULT_UM if units == {"mm"} else None, DEFAULT_ARCSEC if units == {"rad"} else None
@@ -374,9 +346,7 @@ def _demand(
     in_sd = DEFAULT_SD if in_sd is None else in_sd
     known = calibrated.sd[suspects.places]
     for name in np.array(suspects.names)[known <= 0.0][:1]:
-        raise InputError(
-            f"verify: found {name}, which is no free parameter, expected --shift-um or --shift-arcsec for it"
-        )
+        raise InputError(f"verify: found {name}, which is fixed, expected --shift-um or --shift-arcsec")
     return VerificationGoal(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
 
 
@@ -394,7 +364,7 @@ def _read_poses(
     noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
     read = read_session(path, actuators, noise, calibrated)
     slip = find_reverification_slip(calibrated, read.poses) if read.is_whole() else None
-    lines = [] if slip is None else [f"{path}: {slip.say()}; what else is said rests on it"]
+    lines = [] if slip is None else [f"{path}: {slip.say()}; results below depend on it"]
     return lines, place_poses(read.names, read.actuators, read.values, read.covariance)
 
 
@@ -408,8 +378,8 @@ def _plan_poses(
         return expect_pose(calibrated, read_mean_covariance(noise_from))
     if stated is None:
         raise InputError(
-            f"{results}: found no noise of an instrument that measures poses, expected --position-um and "
-            "--orientation-arcsec, or --noise-from POSES.csv with cov_ or sd_ columns"
+            f"{results}: found no pose noise, expected --position-um and --orientation-arcsec, or "
+            "--noise-from POSES.csv"
         )
     return expect_pose(calibrated, build_covariance(*stated))
 
@@ -432,7 +402,7 @@ def _find_stated(
     from bayescal.files.atomic import read_json
 
     if (position_um is None) != (orientation_arcsec is None):
-        raise InputError("verify: found --position-um or --orientation-arcsec alone, expected both")
+        raise InputError("verify: expected both --position-um and --orientation-arcsec")
     if position_um is not None and orientation_arcsec is not None:
         return position_um, orientation_arcsec
     if not (results / PROVENANCE_FILE).is_file():
@@ -482,16 +452,15 @@ def _find_noise(calibrated: CalibratedMachine, noise_from: Path | None, sensors:
             if asked and k not in calibrated.commanded:
                 one = model.channels[k]
                 raise InputError(
-                    f"{noise_from}: found readings of {one.name} whose noise is not known, expected a column "
-                    f"{one.stem}_sd_{one.unit}"
+                    f"{noise_from}: found no noise of {one.name}, expected column {one.stem}_sd_{one.unit}"
                 )
     if sensors is not None:
         chosen = model.select(sensors)
         for k in chosen[~np.isfinite(sd[chosen]) & ~np.isin(chosen, calibrated.commanded)][:1]:
             one = model.channels[k]
             raise InputError(
-                f"--sensors: found {one.name} whose noise is not known, expected --noise-from READINGS.csv with "
-                f"readings of it and a column {one.stem}_sd_{one.unit}"
+                f"--sensors: found no noise of {one.name}, expected --noise-from READINGS.csv with "
+                f"column {one.stem}_sd_{one.unit}"
             )
         sd[~np.isin(np.arange(len(sd)), chosen)] = np.nan
     sd[calibrated.commanded] = 1.0

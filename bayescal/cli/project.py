@@ -35,7 +35,7 @@ def report(
 @app.command(epilog="Example: bayescal show experiments/audit/m2_hexapod_mechanism.toml --out m2.html")
 def show(
     machine: Annotated[Path, typer.Argument(metavar="MACHINE.toml", help="A machine's file.")],
-    out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html here.")] = None,
+    out: Annotated[Path | None, typer.Option(help="HTML file; default MACHINE.html.")] = None,
     trust: Trust = False,
 ) -> None:
     """Draw a machine as a page in which it can be turned, with its joints and legs."""
@@ -49,7 +49,7 @@ def show(
 
 @app.command(epilog="Example: bayescal compare results/telescope results/telescope_seed2")
 def compare(
-    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories of one kind.")],
+    results: Annotated[list[Path], typer.Argument(metavar="RESULTS...", help="Results directories.")],
     trust: Trust = False,
     allow_changed_files: AllowChangedFiles = False,
 ) -> None:
@@ -70,21 +70,21 @@ def validate(experiment: Experiment, no_custom_code: NoCustomCode = False, trust
     from bayescal.files.plain_text import add_article
 
     config, found = check_file(experiment)
-    state = "readable, but its data seem to be wrong" if found.suspicions else "fit to run"
+    state = "readable, but suspect" if found.suspicions else "fit to run"
     echo(f"{experiment}: {state}, {add_article(config.kind)} {config.name!r} ({config.title})")
     for doubt in (*found.suspicions, *found.doubts):
         echo(f"but {doubt}")
     for line in found.outlook:
         echo(line)
     n_files = len(found.files)
-    echo(f"{n_files} files belong to it: {', '.join(found.files)}" if n_files else "no other file belongs to it")
+    echo(f"{n_files} files belong to it: {', '.join(found.files)}" if n_files else "no other file")
     if found.suspicions or found.doubts:
-        echo(f"next: correct the data or the config, then bayescal validate {experiment} again")
+        echo(f"next: correct data or config, then bayescal validate {experiment}")
     if found.suspicions:  # as a run would end
-        echo(f"bayescal: {experiment}: the data seem to be wrong", err=True)
+        echo(f"bayescal: {experiment}: probable data error", err=True)
         raise typer.Exit(3)
     if found.doubts:
-        echo(f"or, where they are right: bayescal run {experiment}, which says the same")
+        echo(f"if they are right: bayescal run {experiment}")
         return
     command = "simulate" if config.kind == "simulation" else "run"
     echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
@@ -92,13 +92,9 @@ def validate(experiment: Experiment, no_custom_code: NoCustomCode = False, trust
 
 @app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New folder for the project.")],
-    machine: Annotated[
-        str | None, typer.Option(help="hexapod (struts), carriages (legs of fixed length) or own (one function).")
-    ] = None,
-    instrument: Annotated[
-        str | None, typer.Option(help="targets, poses or points; own machines bring their sensors.")
-    ] = None,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New folder.")],
+    machine: Annotated[str | None, typer.Option(help="hexapod (struts), carriages (fixed legs) or own.")] = None,
+    instrument: Annotated[str | None, typer.Option(help="targets, poses or points; not for own.")] = None,
 ) -> None:
     """Begin a project: a commented machine with simulated data that runs as it is; asks what is not said."""
     from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
@@ -108,7 +104,7 @@ def init(
         instrument = _ask("--instrument", list(INSTRUMENTS))
     for path in start_project(folder, machine, instrument):
         echo(f"wrote {path}")
-    echo(f"the data are simulated; next: cd {folder}, bayescal run study.toml, and read README.md")
+    echo(f"simulated data; next: cd {folder}, bayescal run study.toml")
 
 
 def _ask(option: str, choices: list[str]) -> str:
@@ -136,30 +132,28 @@ def update_manifest(
 
 @app.command("trust", epilog="Example: bayescal trust examples/own_machine")
 def trust_folder(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="With configs or results, in it or below.")],
-    look: Annotated[bool, typer.Option("--list", help="List the files, and trust none.")] = False,
-    forget: Annotated[bool, typer.Option("--forget", help="Trust them no longer.")] = False,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of configs or results.")],
+    look: Annotated[bool, typer.Option("--list", help="List files only.")] = False,
+    forget: Annotated[bool, typer.Option("--forget", help="Withdraw trust.")] = False,
 ) -> None:
     """Trust the code that configs and results in a folder name, as it is now: every command may run it."""
     from bayescal.config.trust import forget as forget_files
     from bayescal.config.trust import list_code, remember
 
     if not folder.is_dir():
-        raise InputError(f"{folder}: found no directory, expected one with configs or results")
+        raise InputError(f"{folder}: found no directory, expected configs or results")
     files = list_code(folder)
     if not look:
         (forget_files if forget else remember)(files)
     for path in files:
         echo(f"{'' if look else 'forgotten: ' if forget else 'trusted: '}{path}")
     if not files:
-        echo(f"{folder}: no config and no results in it name a file with code")
+        echo(f"{folder}: no file with code is named")
 
 
 @app.command("list", epilog="Example: bayescal list models")
 def list_names(
-    sort: Annotated[
-        str | None, typer.Argument(metavar="[SORT]", help="kinds, models, sensors, ...; all by default.")
-    ] = None,
+    sort: Annotated[str | None, typer.Argument(metavar="[SORT]", help="kinds, models, sensors, ...")] = None,
 ) -> None:
     """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
     from bayescal.experiments.runner.load import list_entries, list_sorts
@@ -174,7 +168,7 @@ def list_names(
 
 
 @app.command(epilog="Example: bayescal schema study > study.schema.json")
-def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of experiment, as in its config.")]) -> None:
+def schema(kind: Annotated[str, typer.Argument(metavar="KIND", help="Kind of experiment.")]) -> None:
     """Print the JSON Schema of a kind's config, by which editors complete and check it."""
     import json
 

@@ -38,7 +38,7 @@ def run(experiment: Experiment, options: RunOptions) -> None:
 @app.command(epilog="Example: bayescal audit experiments/audit/m2_hexapod.toml")
 @spread_options
 def audit(
-    design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Machine, tolerances, plan and requirements.")],
+    design: Annotated[Path, typer.Argument(metavar="DESIGN.toml", help=("Machine, tolerances, plan, requirements."))],
     options: RunOptions,
 ) -> None:
     """Audit what a machine's measurements can and cannot determine: `bayescal run` of an audit."""
@@ -48,7 +48,7 @@ def audit(
 @app.command(epilog="Example: bayescal sweep experiments/audit/m2_hexapod_tracker.toml --workers 2")
 @spread_options
 def sweep(
-    config: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="Experiment, keys that vary and figures.")],
+    config: Annotated[Path, typer.Argument(metavar="SWEEP.toml", help="Experiment, varied keys, figures.")],
     options: RunOptions,
 ) -> None:
     """Vary keys of an experiment and compare its results: `bayescal run` of a sweep."""
@@ -60,10 +60,8 @@ def sweep(
 def selftest(
     study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Config of the study.")],
     options: RunOptions,
-    variant: Annotated[list[str] | None, typer.Option(help="Variant to test; default the best by evidence.")] = None,
-    data_sets: Annotated[
-        int | None, typer.Option(min=4, max=10_000, help="Simulated of priors and posterior each.")
-    ] = None,
+    variant: Annotated[list[str] | None, typer.Option(help="Variant; default the best.")] = None,
+    data_sets: Annotated[int | None, typer.Option(min=4, max=10_000, help="Number of simulations.")] = None,
 ) -> None:
     """Test a study's config: simulation-based calibration, and the usual faults looked for one by one."""
     from bayescal.experiments.selftest.kind import configure_selftest
@@ -90,9 +88,9 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
 
     workers, scheduler = options.workers, options.dask_scheduler
     if workers is not None and scheduler is not None:
-        raise InputError("--workers: found it beside --dask-scheduler, expected one of them")
+        raise InputError("--workers: found with --dask-scheduler, expected either")
     where = options.out if options.out is not None else Path("results") / config.name
-    interrupted = f"bayescal: interrupted; finished work is kept, go on with --resume (in {where}.partial)"
+    interrupted = f"bayescal: interrupted; continue with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):
         finished = run_experiment(
             config, path.parent, where, workers or cpu_count(), options.resume, options.quiet, scheduler
@@ -101,21 +99,17 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
     if not options.quiet:
         finished.show(make_console())
     if not finished.converged:
-        raise NumericalError(
-            f"{where}: {'; '.join(finished.failures)}, see the report; the results are written all the same"
-        )
+        raise NumericalError(f"{where}: {'; '.join(finished.failures)}; see the report")
 
 
 @app.command("next-pose", epilog="Example: bayescal next-pose experiments/m2_hexapod/next_pose.toml")
 @spread_options
 def next_pose(
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="Study config, or a next-pose config that refers to one.")
-    ],
+    study: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Study or next-pose config.")],
     options: RunOptions,
-    variant: Annotated[list[str] | None, typer.Option(help="Variant that may be right; default all.")] = None,
+    variant: Annotated[list[str] | None, typer.Option(help="Variants; default all.")] = None,
     require: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Largest error of the tool allowed, mm or degrees.")
+        list[str] | None, typer.Option(metavar="NAME=VALUE", help="Largest tool error, mm or degrees.")
     ] = None,
 ) -> None:
     """Recommend the next pose to measure, with what it will bring, or to stop."""
@@ -127,7 +121,7 @@ def next_pose(
 @app.command(epilog="Example: bayescal table experiments/m2_hexapod_table/table.toml")
 @spread_options
 def table(
-    config: Annotated[Path, typer.Argument(metavar="TABLE.toml", help="Calibration, axes and reference of the table.")],
+    config: Annotated[Path, typer.Argument(metavar="TABLE.toml", help="Calibration, axes, reference.")],
     options: RunOptions,
     allow_unconverged: AllowUnconverged = False,
 ) -> None:
@@ -146,7 +140,7 @@ def table(
 @app.command(epilog="Example: bayescal simulate experiments/telescope/simulate.toml --out data --seed 1")
 def simulate(
     config: Annotated[Path, typer.Argument(metavar="SIMULATION.toml", help="Config of the simulation.")],
-    out: Annotated[Path, typer.Option(help="Directory for the CSV files.")],
+    out: Annotated[Path, typer.Option(help="Output directory.")],
     seed: Seed = None,
     no_custom_code: NoCustomCode = False,
     trust: Trust = False,
@@ -174,8 +168,8 @@ def simulate(
 )
 def poses_from_targets(
     experiment: Experiment,
-    out: Annotated[Path | None, typer.Option(help="CSV file for the poses; default standard output.")] = None,
-    method: Annotated[str | None, typer.Option(help="robust, line or least_squares, instead of the config's.")] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file; default stdout.")] = None,
+    method: Annotated[str | None, typer.Option(help="robust, line or least_squares.")] = None,
     trust: Trust = False,
 ) -> None:
     """Extract the platform's poses in the base frame, with their covariances, from a study's targets."""

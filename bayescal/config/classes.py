@@ -74,7 +74,7 @@ class ClassMark:
     def _read(self, value: object, info: ValidationInfo) -> ClassName:
         name, options = _split(value)
         if options and self.beside:
-            raise ValueError(f"found a table of {', '.join(options)}, expected a name with the options beside it")
+            raise ValueError(f"found a table of {', '.join(options)}, expected a name")
         folder = (info.context or {}).get(FOLDER)
         if folder is None:
             return ClassName(name, self.registry, options, getattr(value, "found", None))
@@ -95,7 +95,7 @@ def _split(value: object) -> tuple[str, Mapping[str, Any]]:
         return value, {}
     name = value.get(CLASS) if isinstance(value, dict) else None
     if not isinstance(value, dict) or not isinstance(name, str):
-        raise PydanticCustomError("class_type", "Input should be a name, or a table of a class and its options")
+        raise PydanticCustomError("class_type", "Input should be a name, or a table")
     return name, {key: one for key, one in value.items() if key != CLASS}
 
 
@@ -150,7 +150,7 @@ def check_options(found: type, options: Mapping[str, Any]) -> Section:
 def _schema_of(found: type) -> type[Section]:
     schema = getattr(found, "Config", Section)
     if not (isinstance(schema, type) and issubclass(schema, BaseModel)):
-        raise ValueError(f"found class {found.__name__} whose Config is {schema!r}, expected a subclass of Section")
+        raise ValueError(f"found class {found.__name__} whose Config is {schema!r}, expected a Section")
     return schema  # type: ignore[return-value]  # a plain pydantic model does as well
 
 
@@ -187,11 +187,8 @@ def name_failures(found: type, field: str) -> Iterator[None]:
         if not is_own(found):
             raise
         text = " ".join(str(error).split())
-        hint = ": __init__(self, config) takes the options of its file" if "positional argument" in text else ""
-        raise InputError(
-            f"{field}: found class {found.__name__} that fails with {type(error).__name__}: {text}, "
-            f"expected one that can be made{hint}"
-        ) from error
+        hint = ": __init__(self, config)" if "positional argument" in text else ""
+        raise InputError(f"{field}: class {found.__name__} fails with {type(error).__name__}: {text}{hint}") from error
 
 
 def find_files(section: Section, folder: Path) -> list[str]:

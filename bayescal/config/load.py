@@ -38,7 +38,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         return tomllib.loads(text), text
     except (ValueError, RecursionError) as error:  # also numbers of thousands of digits and brackets without end
         if path.suffix.lower() == ".csv":
-            raise InputError(f"{path}: found a CSV table, expected a TOML config, which names its tables") from error
+            raise InputError(f"{path}: found a CSV table, expected a TOML config") from error
         raise InputError(f"{path}: not valid TOML: {error}") from error
 
 
@@ -52,7 +52,7 @@ def read_extended(path: Path, depth: int = 0) -> tuple[dict[str, Any], str]:
     if base is None:
         return content, text
     if not isinstance(base, str):
-        raise InputError(f"{path}: {EXTENDS}: found {base!r}, expected the name of another config")
+        raise InputError(f"{path}: {EXTENDS}: found {base!r}, expected a config")
     if depth == MAX_DEPTH:
         raise InputError(f"{path}: {EXTENDS}: found more than {MAX_DEPTH} configs in a row, expected fewer")
     if Path(base).parent != Path():

@@ -123,7 +123,7 @@ def find_class[T](what: str, name: str, base: type[T], field: str, file: Path | 
         except InputError as error:
             raise InputError(f"{field}: {error}") from error
         if not issubclass(found, base):
-            raise InputError(f"{field}: found {name!r}, which is no {base.__name__}, expected a subclass of it")
+            raise InputError(f"{field}: found {name!r}, expected a subclass of {base.__name__}")
     return found
 
 
@@ -139,13 +139,10 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     location, _, attribute = references.get(name, name).partition(":")
     if name not in built_in and not are_own_classes_allowed():
         known = ", ".join(sorted(built_in))
-        raise InputError(f"found {name!r}, which is no built-in one, and --no-custom-code; expected one of {known}")
+        raise InputError(f"found {name!r}, not built in, with --no-custom-code; expected one of {known}")
     beside = name not in references and is_file(name)
     if not beside and name not in {*references, *references.values()} and not location.startswith("bayescal."):
-        raise InputError(
-            f"found {name!r}, which no installed package offers, expected file.py:Class, or what one offers under "
-            f"the entry point {REGISTRIES[what].group!r}"
-        )
+        raise InputError(f"found {name!r}, expected file.py:Class, or an entry point of {REGISTRIES[what].group!r}")
     try:
         if beside:
             module = _import_file(location, folder or Path())
@@ -156,14 +153,13 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
         raise InputError(f"found {name!r}: {error}") from error
     except Exception as error:
         raise InputError(
-            f"found {name!r}, whose module fails to import ({type(error).__name__}: {' '.join(str(error).split())}), "
-            "expected one that can be imported"
+            f"found {name!r}, whose import fails ({type(error).__name__}: {' '.join(str(error).split())})"
         ) from error
     found = getattr(module, attribute, None)
     place, _, base_name = REGISTRIES[what].base.partition(":")
     base: type = getattr(importlib.import_module(place), base_name)
     if not (isinstance(found, type) and issubclass(found, base)):
-        raise InputError(f"found {name!r}, which is no {base.__name__}, expected a subclass of it")
+        raise InputError(f"found {name!r}, expected a subclass of {base.__name__}")
     _check_members(what, name, found, built_in)
     return found
 
@@ -174,12 +170,12 @@ def _check_members(what: str, name: str, found: type, built_in: Mapping[str, Any
     texts = [one for one in members if not isinstance(getattr(found, one, None), str)]
     missing = [*sorted(getattr(found, "__abstractmethods__", ())), *texts]
     if missing:
-        raise InputError(f"found {name!r}, a class without {', '.join(missing)}, expected a class that has them")
+        raise InputError(f"found {name!r} without {', '.join(missing)}, expected a class with them")
     own = getattr(found, "name", "") if "name" in members else "any"
     if not NAME.fullmatch(own):
-        raise InputError(f"found {name!r}, whose name is {own!r}, expected a name of letters, digits and _.-")
+        raise InputError(f"found {name!r} named {own!r}, expected letters, digits and _.-")
     if own in built_in and built_in[own] not in (found, _refer(found)):
-        raise InputError(f"found {name!r}, whose name is {own!r} as a built-in one's, expected a name of its own")
+        raise InputError(f"found {name!r} named {own!r}, expected no built-in name")
 
 
 def is_file(name: str) -> bool:
@@ -212,7 +208,7 @@ def hash_modules(classes: Iterable[type]) -> dict[str, str]:
             continue
         file = getattr(sys.modules.get(name), "__file__", None)
         if file is None or not Path(file).is_file():
-            raise InputError(f"module {name}: found no file of it, expected one, for results depend on it")
+            raise InputError(f"module {name}: found no file, expected one")
         found[name] = hash_file(Path(file).read_bytes())
     return found
 
@@ -227,9 +223,9 @@ def _import_file(location: str, folder: Path) -> ModuleType:
     root = folder.resolve()
     path = (root / location).resolve()
     if Path(location).is_absolute() or not path.is_relative_to(root):
-        raise InputError(f"{location}: a file outside of {folder}, expected one in that folder or below it")
+        raise InputError(f"{location}: expected a file in {folder}")
     if not path.is_file():
-        raise InputError(f"{path}: no such file, expected a Python module")
+        raise InputError(f"{path}: no such Python module")
     local = find_local_imports(path)
     contents = {file: file.read_bytes() for file in (path, *local.values())}
     permit(contents, folder)

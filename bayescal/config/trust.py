@@ -81,13 +81,13 @@ def permit(files: Mapping[Path, bytes], folder: Path) -> None:
         unknown = [path for path, found in hashes.items() if found not in kept and found not in _trusted_here]
         if unknown:
             changed = set(map(str, unknown)) & set(kept.values())
-            state = f"code ({code}) that {'was changed since it was trusted' if changed else 'nobody has trusted'}"
-            asked = f"Found {state}; it can do whatever you can. Have you read it, and shall it be run?"
+            state = f"code ({code}) that {'changed since trusted' if changed else 'nobody has trusted'}"
+            asked = f"Found {state}; it can do whatever you can. Run it?"
             again = asked in policy.said
             policy.said.add(asked)  # once a command, whatever the answer
             if policy.ask is None or again or not policy.ask(asked):
                 place = folder.parent if (folder.parent / "provenance.json").is_file() else folder
-                raise InputError(f"{state}, expected: read it, then bayescal trust {place}")
+                raise InputError(f"{state}: read it, then bayescal trust {place}")
             with suppress(OSError):  # where nothing can be kept, it is asked for again
                 remember(unknown)
             _trusted_here.update(hashes.values())
@@ -149,7 +149,7 @@ def _read_kept() -> dict[str, str]:
         return {}
     kept = read_json(_store()).get("sha256")
     if not isinstance(kept, dict) or not all(isinstance(path, str) for path in kept.values()):
-        raise InputError(f"{_store()}: found no hashes of trusted files, expected them or no such file")
+        raise InputError(f"{_store()}: found no hashes of trusted files")
     return kept
 
 
@@ -196,9 +196,9 @@ def check_same(folder: Path, names: Iterable[str], known: Collection[str] | None
     for name in names:
         path = folder / name
         if not path.is_file():
-            raise InputError(f"{path}: no such file, expected it as the results kept it")
+            raise InputError(f"{path}: no such file, expected the results' copy")
         if known is not None and hash_file(path.read_bytes()) not in known:
-            raise InputError(f"{path}: found another file than the results were computed with, expected the same")
+            raise InputError(f"{path}: differs from the file of the results")
 
 
 def hash_file(content: bytes) -> str:

@@ -51,19 +51,20 @@ def check_range(actuators: Array, home: Array, largest: float, names: Sequence[s
         return
     pose, leg = divmod(int(np.argmax(moved)), len(home))
     raise InputError(
-        f"pose {names[pose]!r}, leg {leg + 1}: found {actuators[pose, leg]:g} mm, {moved[pose, leg]:.3g} mm from the "
-        f"initial position, expected at most the actuator range of {largest:g} mm{_explain(actuators, home, limit)}"
+        f"pose {names[pose]!r}, leg {leg + 1}: found {actuators[pose, leg]:g} mm, "
+        f"{moved[pose, leg]:.3g} mm from the initial position, expected at most {largest:g} "
+        f"mm{_explain(actuators, home, limit)}"
     )
 
 
 def _explain(actuators: Array, home: Array, limit: float) -> str:
     """Return what was perhaps written instead of positions in mm, found by trying it."""
     tried = {
-        "; they look like displacements from the initial positions": actuators + home,
-        "; they look like metres": 1e3 * actuators,
-        "; they look like micrometres": 1e-3 * actuators,
-        "; they look like displacements in metres": 1e3 * actuators + home,
-        "; they look like displacements in micrometres": 1e-3 * actuators + home,
+        "; displacements instead of positions?": actuators + home,
+        "; metres?": 1e3 * actuators,
+        "; micrometres?": 1e-3 * actuators,
+        "; displacements in metres?": 1e3 * actuators + home,
+        "; displacements in micrometres?": 1e-3 * actuators + home,
     }
     travel = {word: float(np.ptp(other, axis=0).max()) for word, other in tried.items()}
     fits = [word for word, other in tried.items() if np.all(np.abs(other - home) <= limit)]
@@ -82,10 +83,10 @@ def read_moves(path: Path, unit: float, n_legs: int) -> Array:
 def check_moves(actuators: Array) -> None:
     """Raise InputError where no actuator moves from any of several poses (P, N) to another."""
     if len(actuators) > 1 and not np.ptp(actuators, axis=0).any():
-        raise InputError(f"found the same actuator positions at all {len(actuators)} poses, expected poses that differ")
+        raise InputError(f"found equal actuator positions at all {len(actuators)} poses, expected different ones")
 
 
 def check_calibration(path: Path, verification: np.ndarray) -> None:
     """Raise InputError where no pose is left to calibrate with."""
     if verification.all():
-        raise InputError(f"{path}: found no calibration pose, expected at least one")
+        raise InputError(f"{path}: found no calibration pose")

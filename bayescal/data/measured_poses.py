@@ -26,11 +26,7 @@ def check_repeated(names: Sequence[str], readings: Array, verification: np.ndarr
             continue
         earlier = first.setdefault(row.tobytes(), k)
         if earlier != k:
-            use = "a verification pose" if verification[k] != verification[earlier] else "another pose"
-            raise InputError(
-                f"pose {names[k]!r}: found the readings of pose {names[earlier]!r} to the last digit, "
-                f"expected {use} to be measured by itself"
-            )
+            raise InputError(f"pose {names[k]!r}: found the readings of pose {names[earlier]!r}, expected its own")
 
 
 @dataclass(frozen=True, eq=False)

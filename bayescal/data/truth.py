@@ -73,8 +73,8 @@ def read_true_parameters(path: Path, layout: ParameterLayout) -> Array:
     if missing:
         others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(
-            f"{table.where(len(places) - 1)}: found the last of {len(places)} parameters, but no {missing[0]}{others}, "
-            f"expected all {layout.size}"
+            f"{table.where(len(places) - 1)}: found {len(places)} parameters without "
+            f"{missing[0]}{others}, expected {layout.size}"
         )
     theta = np.empty(layout.size)
     theta[places] = table.numbers(("value",))[:, 0]

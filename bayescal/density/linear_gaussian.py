@@ -44,7 +44,7 @@ def factorise(covariance: Array) -> Array:
     for own in factor:
         found, info = dpotrf(own, lower=1, clean=0, overwrite_a=1)
         if info:
-            raise np.linalg.LinAlgError(f"found a covariance that is not positive definite at row {info}")
+            raise np.linalg.LinAlgError(f"found an indefinite covariance at row {info}")
         if found is not own:
             own[:] = found
     return factor.reshape(covariance.shape)

@@ -249,7 +249,7 @@ class PoseFunctions:
         """c_t of each sort, shape (C,)."""
         found = np.array([one.variance(self.place).mean() for one in self._own])
         if not (found > 0.0).all():
-            raise InputError("model_error: found all calibration poses at home, expected actuators that move")
+            raise InputError("model_error: found all poses at home, expected motion")
         return found
 
     @cached_property

@@ -33,7 +33,7 @@ def place_free(
     shared = [name for members in common.values() for name in members]
     for name in (*(name for name in priors if name not in common), *shared, *fixed):
         if name not in layout.names:
-            raise InputError(f"parameter {name!r}: unknown here, expected one of {', '.join(layout.symbols)}")
+            raise InputError(f"parameter {name!r}: expected one of {', '.join(layout.symbols)}")
     places = {name: [layout.names.index(one) for one in common.get(name, (name,))] for name in priors}
     names = tuple(sorted(priors, key=lambda name: places[name][0]))
     start, moved = layout.nominal.copy(), np.zeros((len(names), layout.size))

@@ -14,7 +14,7 @@ from bayescal.numerics.units import MICROMETRE
 
 def _check_some(values: list[float]) -> list[float]:
     if not any(values):
-        raise ValueError("found zeros alone, expected a width above zero, or prior = 'fixed' of what is known")
+        raise ValueError("found zeros, expected a width > 0, or prior = 'fixed'")
     return values
 
 
@@ -54,8 +54,7 @@ class FixedConfig(Section):
 def _check_table(value: object) -> object:
     if isinstance(value, int | float) and not isinstance(value, bool):
         raise ValueError(
-            f'found {value:g}, expected a tolerance as {{ prior = "normal", sd = {value:g} }}, or prior = "uniform" '
-            'with half_width, or "fixed"'
+            f'found {value:g}, expected {{ prior = "normal", sd = {value:g} }}, "uniform" with half_width, or "fixed"'
         )
     return value
 
@@ -130,9 +129,9 @@ class ModelErrorConfig(Section):
         """Raise ValueError for a floor of what is not among the terms of any variant."""
         if isinstance(self.floor_um, dict):
             if strange := set(self.floor_um) - set(terms):
-                raise ValueError(f"floor_um: found {sorted(strange)}, expected some of the terms {[*terms]}")
+                raise ValueError(f"floor_um: found {sorted(strange)}, expected some of {[*terms]}")
         elif self.floor_um > 0.0 and not set(LASTING) & set(terms):
             raise ValueError(
-                f"floor_um: found {self.floor_um:g} with the terms {[*terms]}, expected some of {[*LASTING]} "
-                "among them, or a size by term"
+                f"floor_um: found {self.floor_um:g} with terms {[*terms]}, expected some of "
+                f"{[*LASTING]}, or a size by term"
             )

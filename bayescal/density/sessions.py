@@ -371,7 +371,7 @@ class LinearSessions:
         try:
             return condition(precision, -slope[:, None], square, rest)
         except np.linalg.LinAlgError as error:
-            raise NumericalError("sessions: found no joint density at these drift scales") from error
+            raise NumericalError("sessions: no joint density at these drift scales") from error
 
     def _assemble(self, gram: Array, errors: Array, scales: Array) -> tuple[Array, Array, float]:
         """Return JᵀC⁻¹J and JᵀC⁻¹c by the state, and cᵀC⁻¹c."""
@@ -417,7 +417,7 @@ def _combine(model: SessionModel, part: Part, found: LinearisedRows, x: Array, a
     means = np.array([one.mean for one in model.expansions])
     constant = errors - jacobian @ np.concatenate([x[part.session], alpha - means])
     if not np.isfinite(jacobian).all():
-        raise NumericalError(f"sessions: session {part.session + 1} has no machine near the priors' centres")
+        raise NumericalError(f"sessions: session {part.session + 1}: no machine near the prior centres")
     return np.concatenate([jacobian, -(found.left @ part.rows.act), constant[..., None]], axis=2)
 
 
@@ -435,4 +435,4 @@ def find_state(model: SessionModel, errors: Array, scales: Array, z: Array) -> t
         if np.abs(found - z).max() < MIN_STATE_STEP:
             return linear, found
         z = found
-    raise NumericalError(f"sessions: Gauss-Newton did not settle in {STEPS} steps")
+    raise NumericalError(f"sessions: no convergence in {STEPS} Gauss-Newton steps")

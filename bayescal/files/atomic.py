@@ -27,20 +27,20 @@ def read_text(path: Path, expected: str) -> str:
         raise InputError(f"{path}: is a folder, expected {expected}") from error
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}, line {line}: cannot be read as UTF-8 text, expected {expected} in UTF-8") from error
+        raise InputError(f"{path}, line {line}: not UTF-8, expected {expected}") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text ({type(error).__name__})") from error
+        raise InputError(f"{path}: not UTF-8 ({type(error).__name__})") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
     """Return a JSON object of a results directory; InputError where the file is none."""
     if path.parent.is_file():
-        raise InputError(f"{path.parent}: found a file, expected a directory that a command has written")
+        raise InputError(f"{path.parent}: found a file, expected a directory")
     text = read_text(path, "a results directory's JSON")
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({error})") from error
+        raise InputError(f"{path}: not JSON ({error})") from error
     if not isinstance(content, dict):
         raise InputError(f"{path}: found {add_article(type(content).__name__)}, expected a JSON object")
     return content
@@ -71,7 +71,7 @@ def resolve(path: Path) -> Path:
     try:
         return path.resolve()
     except (RuntimeError, OSError) as error:  # Python before 3.13 has the former of a loop
-        raise InputError(f"{path}: found links that lead round in a circle, expected a directory or none") from error
+        raise InputError(f"{path}: found circular links, expected a directory or none") from error
 
 
 def check_writable(folder: Path) -> None:
@@ -80,7 +80,7 @@ def check_writable(folder: Path) -> None:
     while not there.exists():
         there = there.parent
     if not there.is_dir():
-        raise InputError(f"{there}: is no directory, expected one to write {folder} to")
+        raise InputError(f"{there}: is no directory, expected one")
     try:
         with tempfile.TemporaryFile(dir=there) as probe:
             probe.write(PROBE)
@@ -94,4 +94,4 @@ def make_directory(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be made a directory ({error.strerror})") from error
+        raise InputError(f"{path}: cannot make a directory ({error.strerror})") from error

@@ -112,19 +112,19 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
     text = read_text(path, "a CSV table")
     numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
     if not numbered:
-        raise InputError(f"{path}: found no header, expected the columns {', '.join(columns or ['...'])}")
+        raise InputError(f"{path}: found no header, expected {', '.join(columns or ['...'])}")
     parsed: list[tuple[str, ...]] = []
     for line, row in numbered:
         try:
             parsed.append(tuple(next(csv.reader([row], strict=True))))
         except csv.Error as error:
-            raise InputError(f"{path}, line {line}: found no CSV row ({error}), expected cells with commas") from error
+            raise InputError(f"{path}, line {line}: not a CSV row ({error})") from error
     line, row = numbered[0]
     sign = next((sign for sign in SEPARATORS if sign in row and "," not in row), "")
     header = tuple(cell.strip() for cell in (row.split(sign) if sign else parsed[0]))
     faults = _list_header_faults(header, columns, optional)
     if sign:
-        faults.insert(0, f"found cells separated by {SEPARATORS[sign]}, expected commas, and decimals with points")
+        faults.insert(0, f"found cells separated by {SEPARATORS[sign]}, expected commas, and decimal points")
     if faults:
         first, *others = (f"{path}, line {line}: {fault}" for fault in faults)
         raise InputError(first, others)
@@ -132,13 +132,13 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
         if len(cells) != len(header):
             raise InputError(f"{path}, line {line}: found {len(cells)} cells, expected {len(header)}")
     if len(parsed) == 1:
-        raise InputError(f"{path}: found no rows, expected at least one")
+        raise InputError(f"{path}: found no rows, expected some")
     return CsvTable(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]))
 
 
 def _list_header_faults(header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:
     """Return what is wrong with a header's names, the first of several first."""
-    faults = ["found a column twice, expected each column once"] if len(set(header)) != len(header) else []
+    faults = ["found a column twice, expected it once"] if len(set(header)) != len(header) else []
     if columns is None:
         return faults
     known = (*columns, *optional)
@@ -171,8 +171,7 @@ def read_matrix(path: Path, n_columns: int) -> Array:
     by_leg = {int(leg[1]): name for leg, name in zip(legs, table.columns, strict=True) if leg}
     if set(by_leg) != set(range(1, n_columns + 1)):
         raise InputError(
-            f"{path}: found columns {', '.join(table.columns)}, "
-            f"expected one per leg with its number, such as drho_1 to drho_{n_columns}"
+            f"{path}: found columns {', '.join(table.columns)}, expected one per leg, drho_1 to drho_{n_columns}"
         )
     return table.numbers([by_leg[leg] for leg in sorted(by_leg)])
 
@@ -188,10 +187,10 @@ def read_by_leg(path: Path, columns: Sequence[str], n_legs: int) -> Array:
     expected = [str(leg) for leg in range(1, n_legs + 1)]
     for row, leg in enumerate(legs):
         if leg not in expected:
-            raise InputError(f"{table.where(row)}: leg: found {leg!r}, expected a number from 1 to {n_legs}")
+            raise InputError(f"{table.where(row)}: leg: found {leg!r}, expected 1 to {n_legs}")
     if len(legs) < n_legs:
         missing = next(leg for leg in expected if leg not in legs)
-        raise InputError(f"{path}: found no row of leg {missing}, expected one of each leg from 1 to {n_legs}")
+        raise InputError(f"{path}: found no row of leg {missing}, expected legs 1 to {n_legs}")
     return table.numbers(columns)[[legs.index(leg) for leg in expected]]
 
 

@@ -25,8 +25,8 @@ SIGNATURES = (f"{MANIFEST}.sig", f"{MANIFEST}.asc")
 """A signature of the manifest beside it, as OpenSSH and OpenPGP write it, which covers all files."""
 SHOWN = 3
 
-_OVERLOOKED: ContextVar[bool] = ContextVar("faults of manifests are overlooked", default=False)
-_SAY: ContextVar[Callable[[str], None] | None] = ContextVar("takes what is said of a directory", default=None)
+_OVERLOOKED: ContextVar[bool] = ContextVar("ignore changed manifests", default=False)
+_SAY: ContextVar[Callable[[str], None] | None] = ContextVar("directory to text", default=None)
 
 
 @contextmanager
@@ -84,8 +84,7 @@ def check_whole(
         if expected:
             _refuse(folder, [f"no {MANIFEST}"])
         elif (say := _SAY.get()) is not None:
-            said = f"{folder}: written by an earlier version, without {MANIFEST}: nothing says whether its files are"
-            say(f"{said} whole; bayescal update-manifest {folder} writes it")
+            say(f"{folder}: found no {MANIFEST}; bayescal update-manifest {folder} writes it")
         return
     hashes, others = _read(folder)
     there = set(_list_files(folder))
@@ -104,11 +103,11 @@ def _refuse(folder: Path, faults: list[str]) -> None:
     more = f" and {len(faults) - SHOWN} more" if len(faults) > SHOWN else ""
     found = f"{folder}: found {', '.join(faults[:SHOWN])}{more}"
     if not _OVERLOOKED.get():
-        raise InputError(f"{found}, expected the files as they were written, or --allow-changed-files")
+        raise InputError(f"{found}, expected unchanged files, or --allow-changed-files")
     if (say := _SAY.get()) is not None:
-        say(f"{found}: used all the same (--allow-changed-files)")
+        say(f"{found}: used (--allow-changed-files)")
     else:
-        warnings.warn(f"{found}: used all the same (--allow-changed-files)", stacklevel=2)
+        warnings.warn(f"{found}: used (--allow-changed-files)", stacklevel=2)
 
 
 def _list_files(folder: Path) -> list[str]:
@@ -138,7 +137,7 @@ def _read(folder: Path) -> tuple[dict[str, str], list[str]]:
     content = read_json(folder / MANIFEST)
     hashes, others = content.get(HASHES), content.get(OTHERS, [])
     if not isinstance(hashes, dict) or not isinstance(others, list):
-        raise InputError(f"{folder / MANIFEST}: found no hashes of files, expected those of the directory")
+        raise InputError(f"{folder / MANIFEST}: found no hashes of files")
     return hashes, others
 
 

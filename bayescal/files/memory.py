@@ -40,7 +40,7 @@ class MemoryPath(Path):
 
     def __fspath__(self) -> str:
         """Refuse: there is no such file on disk."""
-        raise TypeError(f"{self}: a file in memory, which the operating system does not know")
+        raise TypeError(f"{self}: a file in memory")
 
     def __eq__(self, other: object) -> bool:
         """Whether two paths are the same of the same tree."""

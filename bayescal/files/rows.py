@@ -170,6 +170,6 @@ def _describe_column(one: Field[Any], kind: Any) -> ColumnType:
     if get_origin(kind) is Literal:
         kind, choices = str, get_args(kind)
     if len(inner) > 1 or kind not in (str, float, int, bool):
-        raise TypeError(f"{one.name}: found {kind}, expected a text, a number or a flag")
+        raise TypeError(f"{one.name}: found {kind}, expected a text, number or flag")
     is_optional, data = one.default is not MISSING, one.metadata
     return ColumnType(one.name, kind, choices, is_optional, data[UNIT], data[TEXT], *data[PAGE])

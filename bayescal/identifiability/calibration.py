@@ -75,7 +75,7 @@ def compare_with_prediction(simulated: Calibrations, covariance: Array) -> Predi
     """
     errors = simulated.errors
     if len(errors) < 2:
-        raise InputError(f"calibrations: found {len(errors)} that converged, expected two at least")
+        raise InputError(f"calibrations: found {len(errors)} converged, expected two")
     predicted = np.sqrt(np.diagonal(covariance))
     square = np.mean(errors**2, axis=0)
     kurtosis = np.mean(errors**4, axis=0) / square**2

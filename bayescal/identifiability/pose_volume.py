@@ -66,8 +66,8 @@ def find_workspace_actuators(machine: Machine, theta: Array, workspace: PoseVolu
         pose, leg = np.unravel_index(int(np.argmax(far)), far.shape)
         needed = f"{far[pose, leg]:.3g} mm" if np.isfinite(far[pose, leg]) else "more than it can"
         raise InputError(
-            f"workspace: out of reach at {describe_move(moves[pose], 3)}: leg {leg + 1} would have to move {needed}, "
-            f"expected at most the actuator range of {mechanism.actuator_range:g} mm"
+            f"workspace: out of reach at {describe_move(moves[pose], 3)}: leg {leg + 1} needs "
+            f"{needed}, expected at most {mechanism.actuator_range:g} mm"
         )
     return found.actuators
 

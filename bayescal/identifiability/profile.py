@@ -37,7 +37,7 @@ def check_profiles(free: Sequence[str], names: Sequence[str]) -> None:
     """Raise InputError for names that are not free."""
     for name in names:
         if name not in free:
-            raise InputError(f"profile of {name!r}: not free here, expected one of {', '.join(free)}")
+            raise InputError(f"profile of {name!r}: fixed, expected one of {', '.join(free)}")
 
 
 def compute_profile(posterior: CalibrationPosterior, name: str, zeta: Array, n_side: int = N_SIDE) -> Profile:

@@ -109,7 +109,7 @@ def describe_move(
         text += " with " + _join([f"{name(k)} by {_amount(kinds[k], move[k], units)}" for k in main])
     if minor:
         share = max(1, round(100 * max(abs(direction.vector[k]) for k in minor)))
-        text += f" (and {_join([name(k) for k in minor])} following by at most {share} % of their tolerances)"
+        text += f" (and {_join([name(k) for k in minor])} by at most {share} % of tolerance)"
     return text
 
 

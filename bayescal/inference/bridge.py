@@ -72,7 +72,7 @@ def estimate_by_bridge(
     offset = float(np.median(log_l1))
     log_r, converged = iterate_bridge(log_l1 - offset, log_l2 - offset, effective)
     if not np.isfinite(log_r):
-        raise NumericalError("bridge sampling: the estimate is not finite, the proposal misses the posterior")
+        raise NumericalError("bridge sampling: estimate not finite")
     share = effective / (effective + n_proposal)
     # f1, f2: the two bridge integrands relative to their means; see Frühwirth-Schnatter (2004), eq. 16
     f1 = expit(log_l2 - offset - log_r + np.log(share / (1 - share)))

@@ -159,8 +159,8 @@ class TailShare:
             return []
         ratio = lacking / self.error if self.error > 0.0 else np.inf
         apart = f"{ratio:.1f} standard errors apart, limit {TAIL_LIMIT:g}"
-        shares = f"{100 * self.expected:.1f} % of the posterior, but {100 * self.found:.1f} % of the draws"
-        return [f"{shares} lie in tails where the proposal seldom leads ({apart}); more steps get there"]
+        shares = f"{100 * self.expected:.1f} % of the posterior, {100 * self.found:.1f} % of draws"
+        return [f"{shares} in tails ({apart}); use more steps"]
 
 
 def compare_tail_mass(exploration: Exploration, sample: Sample, far: TailDraws) -> TailShare:
@@ -214,7 +214,7 @@ class OverdispersedCheck:
         """Return in words whether they did; empty where hardly any did."""
         if self.n_apart < self.limit:
             return []
-        said = f"{self.n_apart} of {self.n_walkers} walkers that started far out stayed where hardly any draw is"
+        said = f"{self.n_apart} of {self.n_walkers} overdispersed walkers did not reach the main mode"
         return [f"{said}, limit {self.limit}"]
 
 

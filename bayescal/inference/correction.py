@@ -170,7 +170,7 @@ def correct(
         move = move.shifted(spread @ _regress(log_weights, used @ move.matrix.T))
     best = max(found, key=lambda correction: correction.efficiency)
     if not np.isfinite(best.log_ratio):
-        raise NumericalError("exact density: no draw of the posterior has a finite weight")
+        raise NumericalError("exact density: no finite weight")
     return best
 
 

@@ -120,8 +120,8 @@ def list_stand_problems(longest_stand: int, n_steps: int) -> list[str]:
     limit = max(STUCK_STEPS, int(np.ceil(STUCK_SHARE * n_steps)))
     if longest_stand < limit:
         return []
-    stood = f"a walker stood still for {longest_stand} of {n_steps} steps, limit {limit}"
-    return [f"{stood}, where jumps seldom lead and mass may be missing (more `steps` in `[sampler]`)"]
+    stood = f"stuck walker ({longest_stand} of {n_steps} steps, limit {limit})"
+    return [f"{stood}; increase `steps` in `[sampler]`"]
 
 
 def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:
@@ -131,9 +131,9 @@ def list_importance_problems(pareto_k: float, n_effective: float) -> list[str]:
     """
     problems = []
     if not pareto_k <= PARETO_K_LIMIT:
-        problems.append(f"Pareto k of the importance weights {pareto_k:.2f}, limit {PARETO_K_LIMIT}")
+        problems.append(f"Pareto k {pareto_k:.2f}, limit {PARETO_K_LIMIT}")
     if not n_effective >= EFFECTIVE_LIMIT:
-        problems.append(f"{n_effective:.0f} effective draws of importance sampling, limit {EFFECTIVE_LIMIT:.0f}")
+        problems.append(f"{n_effective:.0f} effective importance draws, limit {EFFECTIVE_LIMIT:.0f}")
     return problems
 
 
@@ -147,7 +147,7 @@ def list_check_problems(evidence: tuple[float, float], check: tuple[float, float
     settled : bool
         Whether the chains of the check did.
     """
-    problems = [] if settled else ["the chains of the check by tempering did not settle"]
+    problems = [] if settled else ["tempering chains did not settle"]
     error = max(float(np.hypot(evidence[1], check[1])), LEAST_ERROR)
     apart = abs(evidence[0] - check[0]) / error
     if not apart <= TEMPERED_LIMIT:

@@ -129,7 +129,7 @@ class _Walkers:
             densities.extend(density[good])
             if len(points) >= n:
                 return np.stack(points[:n]), np.stack(densities[:n])
-        raise NumericalError(f"sampling: only {len(points)} of {n} walkers found a start with finite density")
+        raise NumericalError(f"sampling: {len(points)} of {n} walkers have a finite start")
 
     def _check_spread(self) -> None:
         """Raise NumericalError where the walkers lie in a plane, which differential evolution does not leave."""
@@ -137,7 +137,7 @@ class _Walkers:
 
         n_walkers, n = self._points.shape
         if n_walkers < 2 * n or not walkers_independent(self._points):
-            raise NumericalError(f"sampling: {n_walkers} walkers do not span all {n} coordinates")
+            raise NumericalError(f"sampling: {n_walkers} walkers do not span {n} coordinates")
 
     def _move(self) -> Walk[int]:
         """Move all walkers once, and return how many moved."""
@@ -173,7 +173,7 @@ class _Walkers:
     def _accept(self, own: np.ndarray, drawn: Array, density: Array, gain: Array) -> np.ndarray:
         """Take some walkers, by their places, to what was drawn for them where that is accepted; return which were."""
         if not np.all(density < np.inf):
-            raise NumericalError("sampling: a walker has a log-density that is not finite")
+            raise NumericalError("sampling: log-density not finite")
         accepted = np.log(self._random.rand(len(own))) < gain
         moved = own[accepted]
         self._points[moved], self._density[moved] = drawn[accepted], density[accepted]

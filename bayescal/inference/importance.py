@@ -91,7 +91,7 @@ def estimate_by_importance(
             block = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
         log_weights = np.concatenate([log_weights, block])
         if not np.isfinite(log_weights).any():
-            raise NumericalError("importance sampling: no draw of the proposal has a finite density")
+            raise NumericalError("importance sampling: no finite density")
         log_evidence = logsumexp(log_weights) - np.log(len(log_weights))
         relative = np.exp(log_weights - log_evidence)
         error = np.std(relative, ddof=1) / np.sqrt(len(relative))
@@ -123,7 +123,7 @@ def resample(
         log_weights = evaluate_in_batches(log_density, draws) - proposal.log_density(draws)
     finite = np.isfinite(log_weights)
     if not finite.any():
-        raise NumericalError("importance sampling: no draw of the proposal has a finite density")
+        raise NumericalError("importance sampling: no finite density")
     smoothed, pareto_k = smooth_weights(log_weights[finite])
     weights = np.exp(smoothed)
     chosen = rng.choice(np.flatnonzero(finite), n_kept, p=weights / weights.sum())

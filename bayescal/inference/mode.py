@@ -237,7 +237,7 @@ def revisit_modes(posterior: LogDensity, starts: Sequence[Array] | Array, known:
             continue
         found.append(_characterise(posterior, *end))
     if not found:
-        raise NumericalError("mode search: no start leads to a mode")
+        raise NumericalError("mode search: no mode found")
     found.sort(key=lambda mode: -mode.log_evidence)
     return [
         m for m in found if m is found[0] or (m.converged and m.log_evidence > found[0].log_evidence - WORTH_KEEPING)
@@ -261,7 +261,7 @@ def _climb(posterior: LogDensity, start: Array, floor: float = -np.inf) -> Climb
     A climb that is still below the floor after PATIENCE steps is given up where it is.
     """
     if not np.isfinite(posterior.log_density(start[None])[0]):
-        raise NumericalError("mode search: the density is not finite at the start, expected a machine near nominal")
+        raise NumericalError("mode search: the density is not finite at the start")
     if posterior.linear_geometry(start) is not None:
         return _climb_given_errors(posterior, start)
     y = posterior.refine_geometry(start)
@@ -286,7 +286,7 @@ def _climb(posterior: LogDensity, start: Array, floor: float = -np.inf) -> Climb
         options={"gtol": GRADIENT_TOLERANCE, "maxiter": 200},
     )
     if not result.fun < FAR_AWAY**2:
-        raise NumericalError("mode search: the climb left the region of finite density")
+        raise NumericalError("mode search: left the finite density")
     return result.x, float(-result.fun)
 
 
@@ -331,7 +331,7 @@ class _Surface:
                 del self._known[next(iter(self._known))]
             gradient, hessian = self._posterior.newton(x)
             if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
-                raise NumericalError("mode search: the climb came to where the density has no slope")
+                raise NumericalError("mode search: zero gradient")
             self._known[key] = gradient, hessian
         return self._known[key]
 
@@ -395,7 +395,7 @@ def _factor_negative(posterior: LogDensity, y: Array, curvature: Array) -> tuple
         values, axes = np.linalg.eigh(-curvature)
         found = _differentiate(posterior, y, axes / np.sqrt(np.maximum(np.abs(values), LEAST_CURVATURE)))
     if found is None:
-        raise NumericalError("mode search: the Hessian at the mode is not negative definite")
+        raise NumericalError("mode search: Hessian not negative definite")
     return _differentiate(posterior, y, found[0]) or found
 
 

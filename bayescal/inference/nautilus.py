@@ -48,7 +48,7 @@ class NautilusSampler(Sampler):
     def check_installed(cls) -> None:
         """Raise InputError where nautilus is not installed."""
         if find_spec("nautilus") is None:
-            raise InputError("found 'nautilus', which is not installed, expected it: pip install 'bayescal[nautilus]'")
+            raise InputError("nautilus: not installed: pip install 'bayescal[nautilus]'")
 
     def sample(self, task: SamplingTask) -> SamplingResult:
         """Return draws of independent runs, and their evidence.
@@ -60,7 +60,7 @@ class NautilusSampler(Sampler):
         draws = posterior.draw_prior(PRIOR_DRAWS, np.random.default_rng(prior_seed))
         draws = draws[np.isfinite(draws).all(axis=1)]
         if len(draws) < 2:
-            raise NumericalError("nautilus: hardly any draw of the prior has coordinates")
+            raise NumericalError("nautilus: too few prior draws have coordinates")
         centre, sd = draws.mean(axis=0), WIDER * draws.std(axis=0)
 
         def transform(unit: Array) -> Array:

@@ -58,7 +58,7 @@ def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     if not len(start):
         return start
     if not np.isfinite(log_density(start[None])[0]):
-        raise NumericalError("scales: found no density where their search begins")
+        raise NumericalError("scales: no density at the start")
     steps = np.concatenate([np.zeros((1, len(start))), SMALL_STEP * np.eye(len(start))])
 
     def evaluate(zeta: Array) -> tuple[float, Array]:
@@ -68,7 +68,7 @@ def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
     with np.errstate(invalid="ignore"):  # differences of what is nowhere
         found = minimize(evaluate, start, jac=True, method="L-BFGS-B", bounds=[LIMITS] * len(start))
     if not np.isfinite(found.fun):
-        raise NumericalError("scales: found no mode of their density")
+        raise NumericalError("scales: no mode found")
     return np.asarray(found.x)
 
 
@@ -120,7 +120,7 @@ def keep_by_weight(draws: Array, log_weights: Array, n_kept: int, rng: np.random
     """Return n_kept out of draws (T, n) by their Pareto-smoothed weights, with efficiency and k of these."""
     finite = np.isfinite(log_weights)
     if finite.sum() < len(draws) / 2:
-        raise NumericalError("scales: hardly any draw of the proposal has a density")
+        raise NumericalError("scales: too few draws with a density")
     if np.ptp(log_weights[finite]) < 1e-12:  # all alike: nothing to smooth
         return Resampled(draws[rng.choice(len(draws), n_kept)], 1.0, 0.0, float(log_weights[finite].mean()))
     smoothed, pareto_k = smooth_weights(log_weights[finite])

@@ -96,13 +96,13 @@ class EvidenceConfig(Section):
     def _check_sampler(cls, value: str | None) -> str | None:
         found = getattr(check_installed(value), "found", None)
         if found is not None and not found.finds_evidence:
-            raise ValueError(f"found {value!r}, a sampler without an evidence of its own, expected one such as 'smc'")
+            raise ValueError(f"found {value!r}, expected a sampler with an evidence, such as 'smc'")
         return value
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:
         if self.max_draws < self.draws:
-            raise ValueError(f"found max_draws {self.max_draws} below draws {self.draws}, expected it not below")
+            raise ValueError(f"found max_draws {self.max_draws}, expected at least draws {self.draws}")
         return self
 
 

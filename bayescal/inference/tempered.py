@@ -142,7 +142,7 @@ def _bridge(
     offset = float(np.median(ours))
     log_evidence, converged = iterate_bridge(ours - offset, theirs - offset, float(n_chains))
     if not converged:
-        raise NumericalError("tempering: the bridge from the last draws did not converge")
+        raise NumericalError("tempering: bridge did not converge")
     return log_evidence + offset
 
 
@@ -172,7 +172,7 @@ def _choose_rise(log_likelihood: Array, left: float) -> float:
 
     n_known = int(np.isfinite(log_likelihood).sum())
     if n_known < 10:
-        raise NumericalError(f"tempering: {n_known} of {len(log_likelihood)} draws of the prior have a density")
+        raise NumericalError(f"tempering: {n_known} of {len(log_likelihood)} prior draws have a density")
     if excess(np.log(left)) >= 0.0:
         return left
     low = np.log(LEAST_STEP)

@@ -256,9 +256,9 @@ def solve_forward_kinematics(
         kept = on_branch
     if check and not (converged & kept).all():
         index = int(np.argmin((converged & kept).ravel()))
-        fault = f"not found in {MOST_STEPS} Newton steps, expected one nearer to home that the legs can reach"
+        fault = f"not found in {MOST_STEPS} Newton steps, expected one nearer home"
         if converged.ravel()[index]:
-            fault = "not reached from home without a jump, only on another assembly branch"
+            fault = "only on another assembly branch"
         raise NumericalError(f"forward kinematics: pose {index + 1} of {converged.size} {fault}")
     converged = np.asarray(converged & kept)
     return ForwardKinematics(position, rotation, converged, iteration)
@@ -379,15 +379,14 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
     condition = float(np.linalg.cond(jacobian / np.array([1, 1, 1, size, size, size])))
     if not condition < SINGULAR_CONDITION:
         raise InputError(
-            f"mechanism {mechanism.name!r}: singular geometry, the home pose Jacobian has condition {condition:.1e}, "
-            f"expected below {SINGULAR_CONDITION:.0e}"
+            f"mechanism {mechanism.name!r}: singular at home, condition {condition:.1e}, expected "
+            f"below {SINGULAR_CONDITION:.0e}"
         )
     tilt = float(np.degrees(np.arccos(np.clip(home.rotation[2, 2], -1.0, 1.0))))
     if tilt > TILTED:  # home is level by definition
         raise InputError(
-            f"mechanism {mechanism.name!r}: found legs that close at home only with the platform tilted by "
-            f"{tilt:.3g} deg, expected it level to {TILTED:g} deg: other lengths, or [home] with position_mm, which "
-            "gives them"
+            f"mechanism {mechanism.name!r}: found a home tilt of {tilt:.3g} deg, expected {TILTED:g} "
+            "at most: other lengths, or home.position_mm"
         )
     _check_strokes(mechanism, home)
     return home
@@ -400,8 +399,8 @@ def _name_widest_gap(mechanism: Mechanism) -> str:
     leg = int(np.argmax(np.abs(spans - mechanism.leg_lengths)))
     x, y, z = position
     return (
-        f" (leg {leg + 1} of {mechanism.leg_lengths[leg]:g} mm has its joints {spans[leg]:.4g} mm apart with the "
-        f"platform level at {x:.4g}, {y:.4g}, {z:.4g} mm, where the search began)"
+        f" (leg {leg + 1} of {mechanism.leg_lengths[leg]:g} mm: joints {spans[leg]:.4g} mm apart at "
+        f"{x:.4g}, {y:.4g}, {z:.4g} mm)"
     )
 
 
@@ -411,10 +410,10 @@ def _check_strokes(mechanism: Mechanism, home: ForwardKinematics) -> None:
         leg = int(np.argmin(mechanism.leg_lengths))
         length, stroke = float(mechanism.leg_lengths[leg]), mechanism.actuator_range
         if stroke >= length:  # lengths were written in another unit than mm
-            metres = "; the joints look like metres" if stroke < METRE * length else ""
+            metres = "; joints in metres?" if stroke < METRE * length else ""
             raise InputError(
-                f"mechanism {mechanism.name!r}: found an actuator range of {stroke:g} mm and a strut of {length:.4g} "
-                f"mm (leg {leg + 1}), expected a range that leaves something of the strut{metres}"
+                f"mechanism {mechanism.name!r}: found an actuator range of {stroke:g} mm, expected "
+                f"less than strut {leg + 1}, {length:.4g} mm{metres}"
             )
         return
     legs = span_home_legs(mechanism, home)
@@ -422,8 +421,8 @@ def _check_strokes(mechanism: Mechanism, home: ForwardKinematics) -> None:
     if not along.min() >= ACROSS:
         leg = int(np.argmin(along))
         raise InputError(
-            f"mechanism {mechanism.name!r}: leg {leg + 1} stands across its actuator at home, which cannot move it "
-            f"(cosine {along[leg]:.1e}), expected at least {ACROSS:g}"
+            f"mechanism {mechanism.name!r}: leg {leg + 1} stands across its actuator (cosine "
+            f"{along[leg]:.1e}), expected at least {ACROSS:g}"
         )
 
 

@@ -85,8 +85,8 @@ class Mechanism:
         """Check the number of legs and that the actuators' directions are unit vectors."""
         if self.n_legs < MIN_LEGS:
             raise InputError(
-                f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}; machines with fewer "
-                "legs are described by what their sensors read"
+                f"mechanism {self.name!r}: found {self.n_legs} legs, expected at least {MIN_LEGS}, or "
+                "a machine of channels"
             )
         sizes = np.linalg.norm(self.directions, axis=1)
         if self.drive == "base" and not np.all(np.abs(sizes - 1.0) < UNIT):

@@ -46,8 +46,7 @@ def load_mechanism(path: Path) -> Mechanism:
     content, text = read_toml(path)
     if isinstance(content.get("kind"), str):
         raise InputError(
-            f"{path}: kind: found {content['kind']!r}, a machine of channels, expected one on legs whose platform an "
-            "instrument sees; tables of readings, [[data]], calibrate it, an instrument being channels of its class"
+            f"{path}: kind: found {content['kind']!r}, expected a machine on legs; [[data]] calibrates others"
         )
     config = check_section(MechanismConfig, content, path, text)
     home, base = _home(config, path, text), points_of(config.base)
@@ -95,17 +94,15 @@ def _legs(config: MechanismConfig, base: Array, home: HomeStart, path: Path) -> 
         lengths = np.linalg.norm(np.array(home.position) + columns["platform"] - (base + travel), axis=1)
         if np.any(lengths < SHORTEST):
             leg = int(np.argmin(lengths)) + 1
-            raise InputError(
-                f"{path}: home.position_mm: found both joints of leg {leg} in one place, expected a length"
-            )
+            raise InputError(f"{path}: home.position_mm: found leg {leg} of length zero, expected distinct joints")
         columns["legs.length_mm"] = lengths
     if config.flexures is not None:
         lengths, flexures = np.broadcast_arrays(columns["legs.length_mm"], columns["flexures.length_mm"])
         if np.any(flexures >= lengths):
             leg = int(np.argmax(flexures >= lengths))
             raise InputError(
-                f"{path}: flexures.length_mm: found {flexures[leg]:g} mm on a leg of {lengths[leg]:g} mm, "
-                "expected flexures shorter than their leg"
+                f"{path}: flexures.length_mm: found {flexures[leg]:g} mm, expected less than its leg, "
+                f"{lengths[leg]:g} mm"
             )
     return {field: np.broadcast_to(v, (n_legs, *v.shape[1:])) for field, v in columns.items()}
 
@@ -118,7 +115,7 @@ def _directions(config: MechanismConfig, path: Path) -> Array:
     directions = np.atleast_2d(np.array(given, dtype=np.float64))
     norms = np.linalg.norm(directions, axis=1, keepdims=True)
     if np.any(norms == 0):
-        raise InputError(f"{path}: legs.direction: found a zero vector, expected a direction")
+        raise InputError(f"{path}: legs.direction: found zero, expected a direction")
     return directions / norms
 
 
@@ -129,13 +126,13 @@ def _home(config: MechanismConfig, path: Path, text: str) -> HomeStart:
     home = config.home or HomeConfig(platform="above")
     if home.position_mm is None:
         if config.legs.length_mm is None:
-            raise InputError(f"{field}: missing, expected a value or [home] with position_mm")
+            raise InputError(f"{field}: missing, expected it, or home.position_mm")
         if home.initial_guess_mm is not None:
             x, y, z = home.initial_guess_mm
             return HomeStart((x, y, z))
         return HomeStart(below=home.platform == "below")
     if config.legs.length_mm is not None:
-        raise InputError(f"{field}: found lengths beside [home], expected one of them, since home has them")
+        raise InputError(f"{field}: found lengths and [home], expected either")
     x, y, z = home.position_mm
     return HomeStart((x, y, z))
 
@@ -274,7 +271,7 @@ def read_legs(path: Path) -> Legs:
 
     def read_nominal() -> Array:
         if config.matrix is None:
-            raise InputError(f"{path}: found no matrix for deformation 'matrix', expected its CSV file")
+            raise InputError(f"{path}: found no matrix, expected a CSV file for deformation 'matrix'")
         return 1e-3 * read_matrix(path.parent / config.matrix, mechanism.n_legs)
 
     nominal = NominalDeformation(config.kappa, read_nominal)

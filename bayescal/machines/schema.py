@@ -30,7 +30,7 @@ class PointsConfig(Section):
         circle = [one for one in (self.radius_mm, self.azimuth_deg) if one is not None]
         one_by_one = self.points_mm is not None and not circle and self.height_mm == 0.0
         if not one_by_one and (len(circle) < 2 or self.points_mm is not None):
-            raise ValueError("expected either radius_mm with azimuth_deg, or points_mm")
+            raise ValueError("expected radius_mm with azimuth_deg, or points_mm")
         return self
 
 
@@ -70,9 +70,7 @@ class LegsConfig(Section):
     @model_validator(mode="after")
     def _check_drive(self) -> Self:
         if self.actuated_joint == "strut" and self.direction is not None:
-            raise ValueError(
-                "found direction with actuated_joint 'strut', expected none, since a strut acts along itself"
-            )
+            raise ValueError("found direction with actuated_joint 'strut', expected none")
         return self
 
 
@@ -93,7 +91,7 @@ class HomeConfig(Section):
     @model_validator(mode="after")
     def _check_one_way(self) -> Self:
         if sum(one is not None for one in (self.position_mm, self.initial_guess_mm, self.platform)) != 1:
-            raise ValueError("expected either position_mm, or platform or initial_guess_mm with the legs' lengths")
+            raise ValueError("expected position_mm, or platform or initial_guess_mm with leg lengths")
         return self
 
 
@@ -127,7 +125,7 @@ class BeamSectionConfig(Section):
         rod, numbers = {"diameter_mm", "young_modulus_gpa", "shear_modulus_gpa"}, {"k1_n_mm2", "k2_n", "k3_n_mm2"}
         if self.model_fields_set not in (rod, numbers):
             raise ValueError(
-                "expected either diameter_mm, young_modulus_gpa and shear_modulus_gpa, or k1_n_mm2, k2_n and k3_n_mm2"
+                "expected diameter_mm, young_modulus_gpa and shear_modulus_gpa, or k1_n_mm2, k2_n and k3_n_mm2"
             )
         return self
 
@@ -179,7 +177,7 @@ class MechanismConfig(Section):
     @model_validator(mode="after")
     def _check_flexures(self) -> Self:
         if self.stiffness is not None and self.flexures is None:
-            raise ValueError("found [stiffness] without [flexures], expected both")
+            raise ValueError("found [stiffness], expected [flexures] with it")
         return self
 
 

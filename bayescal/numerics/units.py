@@ -19,7 +19,7 @@ SCALES |= {"rad": ("rad", 1.0)}
 def choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
     """Return in arcseconds what is stated in either unit, None where in neither; ValueError where in both."""
     if arcsec is not None and urad is not None:
-        raise ValueError(f"found orientation_arcsec {arcsec:g} beside orientation_urad {urad:g}, expected one of them")
+        raise ValueError(f"found orientation_arcsec {arcsec:g} and orientation_urad {urad:g}, expected either")
     return arcsec if urad is None else urad * MICRORADIAN / ARCSECOND
 
 

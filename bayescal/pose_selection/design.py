@@ -67,7 +67,7 @@ class Design:
     def __post_init__(self) -> None:
         """Check that something is free."""
         if not self.priors:
-            raise InputError("found no free parameter, expected at least one")
+            raise InputError("found no free parameter")
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -144,10 +144,7 @@ class Design:
         scaled = here.by_pose / np.where(scale > 0.0, scale, 1.0)
         regular[here.places] = np.linalg.cond(scaled) < SINGULAR_CONDITION
         for k in np.flatnonzero(~regular)[:1]:
-            raise InputError(
-                f"{name} {k + first} ({describe_move(placed.moves[k])}): singular pose Jacobian J_1, expected poses "
-                "away from singularities"
-            )
+            raise InputError(f"{name} {k + first} ({describe_move(placed.moves[k])}): singular pose Jacobian J_1")
         return SeenPoses(self, placed, here)
 
 
@@ -184,7 +181,7 @@ class SeenPoses:
         """
         information, located = self.design.inform(self.placed), self.located.located
         if self.n_redundant and self.design.is_exact:
-            raise InputError("found no actuator noise and no model error, expected some where legs are redundant")
+            raise InputError("found no actuator noise or model error, expected some for redundant legs")
         noise = (not self.design.is_exact) * located @ np.swapaxes(located, -1, -2)
         return root_of(np.linalg.solve(np.eye(DEGREES_OF_FREEDOM) + information @ noise, information))
 

@@ -123,9 +123,7 @@ class ActuatorBox(PoseDomain):
     def __post_init__(self) -> None:
         """Check that actuators alone determine a pose, and the half widths."""
         if self.n_coordinates != 6:
-            raise InputError(
-                f"poses by actuators: found {self.n_coordinates} legs, expected 6: more do not move freely"
-            )
+            raise InputError(f"poses by actuators: found {self.n_coordinates} legs, expected 6")
         if self.half is not None:
             _check_half(self.half)
 
@@ -150,9 +148,7 @@ class ActuatorBox(PoseDomain):
 def _check_half(half: Array) -> None:
     if half.shape != (6,) or not np.all(np.isfinite(half)) or np.any(half < 0.0) or not np.any(half > 0.0):
         listed = ", ".join(f"{value:g}" for value in half)
-        raise InputError(
-            f"workspace: found half widths {listed}, expected six that are finite, not negative, not all 0"
-        )
+        raise InputError(f"workspace: found half widths {listed}, expected six, finite, ≥ 0, not all 0")
 
 
 # --- candidates -------------------------------------------------------------------------------------------------------
@@ -203,21 +199,19 @@ def candidates_at(domain: PoseDomain, shares: Array) -> Candidates:
     InputError names the first that is not finite, outside the box, out of the machine's reach, or breaks a constraint.
     """
     if shares.ndim != 2 or shares.shape[1] != domain.n_coordinates or not len(shares):
-        raise InputError(f"candidates: found an array {shares.shape}, expected rows of {domain.n_coordinates} numbers")
+        raise InputError(f"candidates: found shape {shares.shape}, expected rows of {domain.n_coordinates} numbers")
     _check_finite(shares)
     outside = np.abs(shares).max(axis=1) > 1.0 + 1e-9
     if outside.any():
-        raise InputError(
-            f"candidate {np.argmax(outside) + 1}: found it outside the box, expected coordinates within it"
-        )
+        raise InputError(f"candidate {np.argmax(outside) + 1}: found outside the box")
     placed = domain.place(shares)
     bad = ~domain.allows(placed)
     if bad.any():
         first = int(np.argmax(bad))
-        where, fault = "", "found it out of reach"
+        where, fault = "", "out of reach"
         if placed.found[first]:
-            where, fault = f" ({describe_move(placed.moves[first])})", "found it outside actuator range or workspace"
-        raise InputError(f"candidate {first + 1}{where}: {fault}, expected one the machine can take")
+            where, fault = f" ({describe_move(placed.moves[first])})", "outside actuator range or workspace"
+        raise InputError(f"candidate {first + 1}{where}: {fault}")
     return Candidates(domain, shares, placed)
 
 

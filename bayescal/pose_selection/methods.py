@@ -152,8 +152,8 @@ class Exchanging(SelectionMethod):
                     break
             else:
                 raise InputError(
-                    f"candidates: found no set of {problem.n} in {ATTEMPTS} random ones that determines the "
-                    "parameters, expected more poses or other candidates"
+                    f"candidates: found no determining set of {problem.n} in {ATTEMPTS} random ones, "
+                    "expected more poses or other candidates"
                 )
         outside = problem.candidates.distinct.copy()
         outside[scorer.members] = False
@@ -215,8 +215,8 @@ class TabuDetmax(Exchanging):
         distinct = problem.candidates.distinct
         if self.list_length < 0 or problem.n + self.list_length >= distinct.sum():
             raise InputError(
-                f"tabu: found a list of {self.list_length} beside {problem.n} poses, expected fewer than "
-                f"the {distinct.sum()} distinct candidates together"
+                f"tabu: found a list of {self.list_length} with {problem.n} poses, expected fewer "
+                f"than {distinct.sum()} candidates together"
             )
         scorer, best, outside = self._begin(problem, rng)
         best_set, trace = list(scorer.members), [best]
@@ -238,7 +238,7 @@ class TabuDetmax(Exchanging):
             trace.append(value)
             if value > best:
                 best, best_set = value, list(scorer.members)
-        reason = f"{self.iterations} iterations, the best set kept"
+        reason = f"best of {self.iterations} iterations"
         return self._from_candidates(problem, np.array(best_set), trace, scorer.n_evaluations, reason)
 
 
@@ -253,7 +253,7 @@ class Exchange(Exchanging):
     max_iterations: int = 1000  # exchanges
 
     name: ClassVar[str] = "exchange"
-    title: ClassVar[str] = "Exchange (eliminate and add, from the candidates)"
+    title: ClassVar[str] = "Exchange (eliminate and add)"
     source: ClassVar[str] = "Fedorov 1972; Daney, Papegay and Madeline 2005"
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
@@ -266,7 +266,7 @@ class Exchange(Exchanging):
             ended = better is None
             if better is not None:
                 trace.append(better)
-        reason = "no pose can be exchanged for a better one" if ended else f"{self.max_iterations} exchanges"
+        reason = "no exchange improves" if ended else f"{self.max_iterations} exchanges"
         return self._from_candidates(
             problem, np.array(scorer.members), trace, scorer.n_evaluations, reason, converged=ended
         )
@@ -346,9 +346,7 @@ class PoseObjective:
     def _place(self, shares: Array) -> PlacedPoses:
         placed = self.domain.place(shares)
         if not placed.found.all():
-            raise NumericalError(
-                "poses: found one out of the machine's reach at the edge of the box while optimising it"
-            )
+            raise NumericalError("poses: found one out of reach at the edge of the box")
         return placed
 
     def _rows(self, shares: Array) -> Array:

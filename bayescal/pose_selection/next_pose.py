@@ -103,7 +103,7 @@ def find_unmeasured(candidates: Array, measured: Array, apart: float | Array) ->
     distance = (np.abs(candidates[:, None] - measured) / apart).max(axis=-1).min(axis=1, initial=np.inf)
     new: np.ndarray = distance > 1.0
     if not new.any():
-        raise InputError(f"candidates: found all {len(candidates)} measured already, expected one that is not")
+        raise InputError(f"candidates: found all {len(candidates)} measured, expected a new one")
     return new
 
 

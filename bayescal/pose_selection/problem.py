@@ -32,15 +32,12 @@ class SelectionProblem:
             )
         if self.candidates.n_distinct < self.n:
             raise InputError(
-                f"candidates: found {self.candidates.n_distinct} distinct poses among {len(self.candidates)}, "
-                f"expected at least the {self.n} to select"
+                f"candidates: found {self.candidates.n_distinct} distinct of {len(self.candidates)} "
+                f"poses, expected at least {self.n}"
             )
         bad = ~np.isfinite(self.blocks).all(axis=(1, 2))
         if bad.any():
-            raise InputError(
-                f"candidate {int(np.argmax(bad)) + 1}: found an identification Jacobian that is not finite, "
-                "expected poses the model can take"
-            )
+            raise InputError(f"candidate {int(np.argmax(bad)) + 1}: found a Jacobian that is not finite")
 
     @property
     def n_parameters(self) -> int:
@@ -74,10 +71,7 @@ class SelectionProblem:
         placed = self.candidates.domain.at_actuators(np.where(good[:, None], self.measured, 0.0))
         good &= placed.found
         if not good.all():
-            raise InputError(
-                f"measured pose {int(np.argmin(good)) + 1}: found actuator positions without a pose, "
-                "expected ones the machine can take"
-            )
+            raise InputError(f"measured pose {int(np.argmin(good)) + 1}: found actuator positions without a pose")
         rows = self.criterion.rows(self.candidates.domain.design.see(placed, "measured pose"))
         return np.concatenate([prior, rows.reshape(-1, self.n_parameters)])
 

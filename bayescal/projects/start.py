@@ -26,19 +26,19 @@ REACH = 0.6
 """Share of the actuators' range that the simulated poses use."""
 OWN = "own"
 INSTRUMENTS = {
-    "targets": "by photogrammetry of targets on base and platform",
-    "poses": "by an instrument that hands out poses",
-    "points": "by an instrument that tracks points on the platform",
+    "targets": "photogrammetry of targets",
+    "poses": "measured poses",
+    "points": "tracked points on the platform",
 }
 LEFT_OUT = {"probe.csv": ("targets", "poses"), "audit_measured.toml": ("points",)}
 """Instruments of whose projects a file is none; audits take whole poses that were measured, no points."""
 MEANINGS = {
-    **{"a_x": "joints at the base", "a_y": "the same", "a_z": "the same", "b_x": "joints on the platform"},
-    **{"b_y": "the same", "b_z": "the same", "l": "lengths of the legs"},
-    **{"u_x": "directions of the actuators", "u_y": "the same"},
+    **{"a_x": "base joints", "a_y": "the same", "a_z": "the same", "b_x": "platform joints"},
+    **{"b_y": "the same", "b_z": "the same", "l": "leg lengths"},
+    **{"u_x": "actuator directions", "u_y": "the same"},
 }
 JOINTS = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z")
-ON_RAILS = MEANINGS | {"a_z": "the same; along the rail: the carriage's zero"}
+ON_RAILS = MEANINGS | {"a_z": "the same; along the rail: carriage zero"}
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ MACHINES: dict[str, ExampleHexapod | None] = {
     "hexapod": ExampleHexapod(
         *("A made-up hexapod", "six_ups", 300.0, 180.0, [0.0, 0.0, 380.0], 450.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5},
-        left_out="an actuator's zero is no parameter of its own: it changes what l changes",
+        left_out="an actuator's zero is not free: l has its effect",
     ),
     "carriages": ExampleHexapod(
         *("A made-up machine on six carriages", "six_pus", 250.0, 120.0, [0.0, 0.0, 400.0], 0.0, 40.0),
         tolerances=dict.fromkeys(JOINTS, 0.2) | {"l": 0.5, "u_x": 0.001, "u_y": 0.001},
-        left_out="rho0 stays as drawn: it moves a joint along its rail as a does; no measurement distinguishes them",
+        left_out="rho0 stays as drawn: no measurement distinguishes it from a along its rail",
         meanings=ON_RAILS,
     ),
     OWN: None,
@@ -87,11 +87,11 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     """
     kind = look_up(MACHINES, machine, "--machine")
     if kind is None and instrument is not None:
-        raise InputError(f"init: --instrument: found {instrument!r} with machine {machine!r}, which brings its sensors")
+        raise InputError(f"init: --instrument: found {instrument!r}, expected none with machine {machine!r}")
     if kind is not None:
         look_up(INSTRUMENTS, instrument or "none", "--instrument")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: found something there, expected a new or an empty folder")
+        raise InputError(f"{folder}: expected a new or empty folder")
     partial = folder.absolute().with_name(f"{folder.absolute().name}.partial")
     make_directory(partial)
     try:
@@ -133,6 +133,6 @@ def _write_files(folder: Path, kind: ExampleHexapod | None, machine: str, instru
     moves = REACH * kind.range * (2.0 * spread - 1.0)
     for use, some in (("calibration", moves[:N_CALIBRATION]), ("verification", moves[N_CALIBRATION:])):
         columns = [f"drho_{leg}" for leg in range(1, n_legs + 1)]
-        comment = f"Displacements of the actuators from home, mm, a row a pose: the simulated poses for {use}."
+        comment = f"Actuator displacements from home, mm: simulated {use} poses."
         text = format_table([comment], columns, [[f"{move:.3f}" for move in row] for row in some])
         write_atomically(folder / f"{use}_configurations.csv", text.encode())

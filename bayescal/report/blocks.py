@@ -287,7 +287,7 @@ class Page:
         names = [figure.name for figure in self.figures()]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"figure {name!r} is twice on the page, expected each name once")
+                raise ValueError(f"figure {name!r} is twice on the page")
 
     def add_failures(self, failures: Sequence[Statement]) -> Page:
         """Return the page with more that forbids to rely on the numbers."""

@@ -101,7 +101,7 @@ def write_page(
     text = render_page(page.add_failures(failed), pictures, more)
     figures = folder / FIGURES
     if figures.is_symlink():
-        raise InputError(f"{figures}: found a link, expected a directory; nothing is written through links")
+        raise InputError(f"{figures}: found a link, expected a directory")
     for name in set(earlier) - {f"{FIGURES}/{name}.png" for name, picture in pictures.items() if picture.png}:
         if FIGURE.fullmatch(name):
             (folder / name).unlink(missing_ok=True)

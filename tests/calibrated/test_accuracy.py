@@ -77,7 +77,7 @@ def test_expanded_uncertainty_agrees_with_monte_carlo(calibrated, workspace):
 
 
 def test_without_draws_there_is_no_budget(calibrated, workspace):
-    with pytest.raises(InputError, match="found no draws of its posterior, expected some"):
+    with pytest.raises(InputError, match="posterior draws"):
         compute_budget(replace(calibrated, covariance=None, draws=None), workspace)
 
 
@@ -104,7 +104,7 @@ def test_cube_and_its_poses(calibrated):
     poses = list_cube_poses(edge)
     np.testing.assert_allclose(np.ptp(poses, axis=0), 0.8 * edge)
     np.testing.assert_allclose(np.ptp(list_axis_poses(edge, 2), axis=0), [0, 0, edge], atol=1e-9)
-    with pytest.raises(InputError, match="cube: found a pose out of reach"):
+    with pytest.raises(InputError, match="cube: "):
         draw_cycles(calibrated, place_lengths(calibrated, home, list_cube_poses(20 * edge)), 3, 10, 0)
 
 
@@ -162,5 +162,5 @@ def test_the_largest_cube_of_a_box_is_twice_its_nearest_side(inner):
 
 def test_a_box_out_of_reach_is_refused(inner):
     far = box_about_home(np.array([1e4, 1e4, 1e4, 0.0, 0.0, 0.0]))
-    with pytest.raises(InputError, match=f"in reach of the actuators, expected {FEWEST} at least"):
+    with pytest.raises(InputError, match=f"in reach, expected {FEWEST}"):
         sample_region(inner, far, 16, 0)

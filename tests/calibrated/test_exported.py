@@ -160,7 +160,7 @@ def test_near_leads_the_search_for_home(tmp_path):
     again = build_machine(SixPus, load_mechanism(tmp_path / "m.toml"), NoDeformation())
     np.testing.assert_allclose(again.nominal_home.position, home.position, **SAME)
     (tmp_path / "m.toml").write_text(text.replace("initial_guess_mm", 'platform = "above"\ninitial_guess_mm'))
-    with pytest.raises(InputError, match="home: expected either position_mm, or platform or initial_guess_mm"):
+    with pytest.raises(InputError, match=r"home: expected position_mm,.*initial_guess_mm"):
         load_mechanism(tmp_path / "m.toml")
 
 
@@ -199,7 +199,7 @@ def test_a_model_of_ones_own_predicts_but_has_no_drawings(rng, tmp_path):
     first, second = predict_poses(one, actuators), predict_poses(other, actuators)
     np.testing.assert_allclose(second.position, first.position, **SAME)
     np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-5, atol=1e-11)
-    with pytest.raises(InputError, match="found a model or user-defined deformation"):
+    with pytest.raises(InputError, match="found a user-defined model"):
         export_machine(other, tmp_path / "out", "mechanism")
     assert studies.snapshot(tmp_path) == {}
 
@@ -210,7 +210,7 @@ CORRELATION = np.array([[1.0, 0.5, -0.3], [0.5, 1.0, 0.1], [-0.3, 0.1, 1.0]])
 FAULTS = {
     "not a number": ((0, 1), np.nan, r"l\[1\], l\[2\]: found nan, expected a finite number"),
     "negative": ((2, 2), -1.0, "k, k: found -1, expected a variance"),
-    "one side": ((1, 2), 1e6, r"l\[2\], k: found 1e\+06 and across the diagonal 20, expected the same"),
+    "one side": ((1, 2), 1e6, r"l\[2\], k: found 1e\+06 and 20"),
     "no variance": ((0, 0), 0.0, r"l\[1\], l\[2\]: found 1e-06, expected at most 0"),
 }
 
@@ -226,7 +226,7 @@ def test_damaged_entries_are_named(fault):
 
 def test_correlations_that_cannot_be_together_are_refused():
     correlation = np.array([[1.0, 0.9, 0.9], [0.9, 1.0, -0.9], [0.9, -0.9, 1.0]])
-    with pytest.raises(InputError, match="correlations that no data can have together"):
+    with pytest.raises(InputError, match="found an indefinite matrix"):
         check_covariance(PATH, NAMES, correlation * np.outer(SD, SD))
 
 

@@ -194,11 +194,11 @@ def test_json_and_csv_hold_the_same_numbers(hexapod, tmp_path):
 @pytest.mark.parametrize(
     ("name", "model", "deformation", "n_legs", "expected"),
     [
-        ("genhexkins", "six_pus", "none", 6, "found actuators at the base"),
-        ("genhexkins", "six_ups", "linear", 6, "found a platform that bends"),
+        ("genhexkins", "six_pus", "none", 6, "found base actuators"),
+        ("genhexkins", "six_ups", "linear", 6, "found a flexible platform"),
         ("genhexkins", "six_ups", "none", 7, "found 7 struts, expected 6"),
         ("urdf", "beam", "none", 6, "found model 'beam'"),
-        ("urdf", "six_pus", "matrix", 6, "found a platform that bends"),
+        ("urdf", "six_pus", "matrix", 6, "found a flexible platform"),
         ("mechanism", "jacobian", "none", 7, "found model 'jacobian' of 7 legs"),
         ("step", "six_pus", "none", 6, "--format: found 'step', expected one of"),
     ],

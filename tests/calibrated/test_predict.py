@@ -41,7 +41,7 @@ def test_poses_out_of_reach_say_why(rng):
     assert command.reached.tolist() == [True, False, False]
     assert command.faults[1].startswith("rho[1] would be 12.")
     assert command.faults[1].endswith("mm, its range is 8.7 to 11.3")
-    assert command.faults[2] == "rho[1] has no value there: the machine does not reach it"
+    assert command.faults[2] == "rho[1] is unreachable there"
     assert np.isnan(command.commands[2]).all()
     assert np.isfinite(command.commands[:2]).all()
 
@@ -59,7 +59,7 @@ def test_same_random_numbers_same_draws(rng):
     first, second = (draw_poses(made_up, actuators, 20, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert first.shape == (20, 3, 6)
-    with pytest.raises(InputError, match="found no draws"):
+    with pytest.raises(InputError, match="posterior draws"):
         draw_poses(replace(made_up, draws=None), actuators, 20, rng)
 
 

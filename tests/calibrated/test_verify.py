@@ -198,7 +198,7 @@ def test_an_operator_takes_the_plan_and_brings_poses_back(calibrated, exported, 
     table = tmp_path / "plan.csv"
     code, said, complaint = call("verify", exported, *NOISE_OPTIONS, "--candidates", listed, "--out", table)
     assert (code, complaint) == (0, "")
-    assert f"{len(plan.chosen)} poses a session show a shift of any leg by 20 µm" in said
+    assert f"{len(plan.chosen)} poses: shift of any leg by 20 µm" in said
     rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
     assert rows[0] == "pose,use," + ",".join(name_actuators(6))
     np.testing.assert_allclose(np.array([row.split(",")[2:] for row in rows[1:]], dtype=float), plan.commands)
@@ -217,7 +217,7 @@ def test_an_operator_takes_the_plan_and_brings_poses_back(calibrated, exported, 
 @pytest.mark.parametrize(
     ("mend", "said"),
     [
-        (lambda rho: np.roll(rho, 1, axis=0), "rows of rho seem to be shifted by one"),
+        (lambda rho: np.roll(rho, 1, axis=0), "rows of rho seem shifted"),
         (lambda rho: rho[:, [0, 2, 1, 3, 4, 5]], "readings of rho[2] and rho[3] seem to be exchanged"),
     ],
 )
@@ -251,7 +251,7 @@ def test_the_noise_may_come_from_a_table_of_poses(noise, exported, listed, plan,
     path.write_text(f"pose,{','.join(cells)}\nC01,{','.join(f'{one:.9g}' for one in cells.values())}\n")
     code, said, complaint = call("verify", exported, "--noise-from", path, "--candidates", listed)
     if noise == "none":
-        assert "found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad" in complaint
+        assert "expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad" in complaint
     else:
         assert (code, complaint) == (0, "")
         assert said.count("\nR") == len(plan.chosen)
@@ -274,8 +274,11 @@ def spoil(tmp_path, session):
 
 
 FAULTS = {
-    "no noise": (lambda folder, session: (), "found no noise of an instrument that measures poses"),
-    "half of it": (lambda folder, session: ("--position-um", "4"), "alone, expected both"),
+    "no noise": (lambda folder, session: (), "found no pose noise"),
+    "half of it": (
+        lambda folder, session: ("--position-um", "4"),
+        "expected both --position-um and --orientation-arcsec",
+    ),
     "no positions": (
         lambda folder, session: (*NOISE_OPTIONS, *spoil(folder, session)),
         "found no columns rho_1_mm to rho_6_mm",
@@ -283,7 +286,7 @@ FAULTS = {
     "no file": (lambda folder, session: (*NOISE_OPTIONS, "--measured", folder / "none.csv"), "no such file"),
     "too little": (
         lambda folder, session: (*NOISE_OPTIONS, "--shift-um", "0.5", "--range-fraction", "0.2"),
-        "a larger shift, more sessions",
+        "larger shift, more sessions",
     ),
 }
 
@@ -301,5 +304,5 @@ def test_a_posterior_that_did_not_converge_is_refused(calibrated, listed, call, 
     options = (*NOISE_OPTIONS, "--candidates", listed)
     code, said, complaint = call("verify", tmp_path / "machine", *options)
     assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "did not converge (R-hat 1.2)" in complaint
+    assert "(R-hat 1.2)" in complaint
     assert call("verify", tmp_path / "machine", *options, "--allow-unconverged")[0] == 0

@@ -158,7 +158,7 @@ def test_without_names_all_free_parameters_are_suspect(delta):
 
 def test_no_shift_shows_where_the_pose_takes_up_all_that_is_read(delta):
     sd = made_up.only(delta[1], delta[0].model, ["s"])
-    with pytest.raises(InputError, match="found 3 channels that are read and 3 coordinates of the pose, which take"):
+    with pytest.raises(InputError, match="3 channels for 3"):
         plan_for(delta, ["l"], sd)
 
 
@@ -168,21 +168,19 @@ def test_a_shift_that_nothing_shows_is_refused_by_name(delta):
     model = calibrated.model
     unread = made_up.only(sd, model, ["s", "cam_x", "cam_y"])
     name = next(n for n in model.layout.names if not {n} & set(model.seen_parameters(["s", "cam_x", "cam_y"])))
-    with pytest.raises(InputError, match="changes nothing that is read, or only as another pose would"):
+    with pytest.raises(InputError, match="shift of t_x"):
         plan_for(delta, [name], unread)
 
 
 def test_too_small_a_shift_says_how_often_it_would_be_found(delta):
-    with pytest.raises(
-        InputError, match=r"6 poses show a shift of l\[\d\] by 1 µm with .* % in 2 sessions, expected 95 %"
-    ):
+    with pytest.raises(InputError, match=r"6 poses detect a shift of l\[\d\] by 1 µm with .* %, expected 95 %"):
         plan_for(delta, ["l"], delta[1], size=1e-3)
 
 
 def test_unknown_names_are_refused(delta):
-    with pytest.raises(InputError, match="shift of 'w': unknown here, expected some of"):
+    with pytest.raises(InputError, match="found 'w',"):
         choose_suspects(delta[0], ["w"])
-    with pytest.raises(InputError, match="found no draws"):
+    with pytest.raises(InputError, match="posterior draws"):
         plan_for((replace(delta[0], covariance=None), delta[1]), ["l"], delta[1])
 
 
@@ -191,7 +189,7 @@ def test_rows_out_of_reach_are_named(delta, rng):
     commands, given = list_candidates(calibrated, 0.5)
     session = made_up.read_again(calibrated, calibrated.theta, commands[:3], given, sd, rng)
     session.values[1] += 1e4
-    with pytest.raises(InputError, match="pose 'R02': found no pose of the machine near its readings"):
+    with pytest.raises(InputError, match="pose 'R02':"):
         compute_knowledge(calibrated, choose_suspects(calibrated, ["l"]), session)
 
 
@@ -213,7 +211,7 @@ def test_an_operator_takes_the_plan_and_brings_readings_back(results, call, tmp_
     plan, always = tmp_path / "plan.csv", ("--trust-code", "--allow-unconverged", "--parameters", "l")
     code, said, complaint = call("verify", results, *always, "--shift-um", "150", "--out", plan)
     assert (code, complaint) == (0, "")
-    assert "a shift of any parameter by 150 µm with" in said
+    assert "parameter by 150 µm" in said
     rows = [line.split(",") for line in plan.read_text().splitlines() if not line.startswith("#")]
     assert rows[0] == ["pose", "use", "s_1_mm", "s_2_mm", "s_3_mm"]
     calibrated = load_calibrated(results, allow_unconverged=True, trust=True)
@@ -233,10 +231,10 @@ def test_an_operator_takes_the_plan_and_brings_readings_back(results, call, tmp_
 
 
 FAULTS = {
-    "own sensors alone": (("--sensors", "s"), "found 3 channels that are read and 3 coordinates of the pose"),
-    "two sizes": (("--shift-um", "1", "--shift-sd", "3"), "expected one of --shift-um, -arcsec and -sd"),
+    "own sensors alone": (("--sensors", "s"), "found 3 channels for 3 pose coordinates"),
+    "two sizes": (("--shift-um", "1", "--shift-sd", "3"), "expected one of --shift-um, --shift-arcsec and --shift-sd"),
     "angles in micrometres": (("--parameters", "t_x", "--shift-um", "3"), "found --shift-um for parameters in mm, rad"),
-    "an unknown sensor": (("--sensors", "cam"), "sensor 'cam': unknown here"),
+    "an unknown sensor": (("--sensors", "cam"), "sensor 'cam': expected"),
 }
 
 
@@ -253,6 +251,6 @@ def test_readings_without_a_pose_or_noise_are_refused(results, call, tmp_path):
     path = tmp_path / "read.csv"
     path.write_text("pose,cam_x_mm,cam_y_mm,height_mm\nR01,1.0,2.0,3.0\n")
     judged = ("verify", results, "--trust-code", "--allow-unconverged", "--measured", path)
-    assert "found no reading of s[1], s[2], s[3], expected it there, or --actuators PLAN.csv" in call(*judged)[2]
+    assert "found no s[1], s[2], s[3], expected it, or --actuators PLAN.csv" in call(*judged)[2]
     (tmp_path / "plan.csv").write_text("pose,s_1_mm,s_2_mm,s_3_mm\nR02,200.0,200.0,200.0\n")
-    assert "pose 'R01' is not in" in call(*judged, "--actuators", tmp_path / "plan.csv")[2]
+    assert "pose 'R01': not in" in call(*judged, "--actuators", tmp_path / "plan.csv")[2]

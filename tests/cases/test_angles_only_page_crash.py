@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.runs, pytest.mark.usefixtures("no_pictures")]
 
 def test_it_has_a_page_and_its_zero(case, call):
     code, complaint, out = run_little(call, case("angles_only_page_crash") / "study.toml")
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     results = read_results(out)
     assert "lost" not in results.summary
     assert (out / "report.html").is_file()

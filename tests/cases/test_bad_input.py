@@ -80,14 +80,18 @@ def copy_column(study: Path) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = {
-    "frame: a tool without a place": (write_cell, head('accuracy_frame = "base"'), "accuracy_frame: found 'base' of a"),
+    "frame: a tool without a place": (
+        write_cell,
+        head('accuracy_frame = "base"'),
+        "accuracy_frame: found 'base' with tool",
+    ),
     "frame: no marks": (
         write_hexapod,
         lambda study: [
             head('accuracy_frame = "base"')(study),
             put("[frames]\nbase = { position = 2.0, rotation = 0.1 }")(study),
         ],
-        "accuracy_frame: found 'base', and base_",
+        "accuracy_frame: found 'base', but base_",
     ),
     "frame: unknown": (write_cell, head('accuracy_frame = "marks"'), "accuracy_frame: found 'marks', expected"),
     "requirement: a cell's place": (write_cell, put("[requirements]\nposition = 1.0"), "found 'position', expected"),
@@ -110,7 +114,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = 
         "parameters.gain: found 7 values, expected 1 or 6",
     ),
     "quaternion": (write_hexapod, shorten_quaternions, "line 4: found a quaternion of length 0.5, expected 1"),
-    "columns": (write_hexapod, copy_column, "columns y_mm and x_mm are the same in all rows"),
+    "columns": (write_hexapod, copy_column, "columns y_mm and x_mm"),
     "tolerance: normal": (write_hexapod, tolerate("sd = 0.0"), "parameters.a_x.sd: found 0.0, expected"),
     "tolerance: below zero": (write_cell, tolerate("sd = -0.3"), "parameters.k_x.sd: found -0.3, expected"),
     "tolerance: each": (write_cell, tolerate("sd = [0.0, 0.0, 0.0]"), "parameters.k_x"),

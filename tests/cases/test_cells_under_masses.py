@@ -18,7 +18,7 @@ GIVEN = ["mass_kg", "at_x_mm", "at_y_mm"]
 def test_requirements_are_refused_by_a_line_that_ends(case, call):
     code, _, complaint = call("next-pose", case("cells_under_masses") / "study.toml", "--require", "u=0.1")
     assert code == 2
-    assert complaint.strip().endswith("requirements: found 'u', expected some of none: it has no tool")
+    assert complaint.strip().endswith("requirements: found 'u', expected some of none: no tool")
 
 
 @pytest.mark.runs
@@ -26,7 +26,7 @@ def test_requirements_are_refused_by_a_line_that_ends(case, call):
 def test_uses_take_the_rows_that_calibrated_it(case, call):
     folder = case("cells_under_masses")
     code, complaint, out = run_little(call, folder / "study.toml")
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     exported = folder / "exported"
     assert call("export", out, "--out", exported, "--allow-unconverged")[0] == 0
     known = read_table(folder / "readings.csv", None).numbers(GIVEN)
@@ -35,12 +35,12 @@ def test_uses_take_the_rows_that_calibrated_it(case, call):
         np.testing.assert_allclose(np.column_stack([given[name] for name in GIVEN]), known)
     code, said, _ = call("verify", out, "--out", folder / "plan.csv", "--allow-unconverged")
     assert code == 0
-    assert re.search(r"^[123] poses? a session", said, re.MULTILINE)
+    assert re.search(r"^[123] poses?: shift of", said, re.MULTILINE)
     (folder / "loads.csv").write_text("pose,mass_kg,at_x_mm,at_y_mm\nP1,10,0,0\n")
     assert call("compensate", exported, folder / "loads.csv", "--allow-unconverged")[0] == 0
     code, _, complaint = call("predict", exported, folder / "loads.csv", "--allow-unconverged")
     assert code == 2
-    assert "no coordinates, and so no pose; bayescal compensate says what its channels read" in complaint
+    assert "no pose coordinates; bayescal compensate" in complaint
 
 
 def test_a_constructor_without_options_is_named_with_what_it_takes(case, call):
@@ -50,4 +50,4 @@ def test_a_constructor_without_options_is_named_with_what_it_takes(case, call):
     code, _, complaint = call("validate", folder / "study.toml")
     assert code == 2
     assert "takes 1 positional argument" in complaint
-    assert "__init__(self, config) takes the options of its file" in complaint
+    assert "__init__(self, config)" in complaint

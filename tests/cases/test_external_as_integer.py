@@ -35,7 +35,7 @@ def test_the_class_is_named(case, call):
 @pytest.mark.usefixtures("no_pictures")
 def test_held_back_rows_are_predicted(case, call):
     code, complaint, out = run_little(call, case("external_as_integer") / "study.toml")
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     predicted = read_results(out).table("predictions")
     external = predicted.set_index("channel")["external"]
     assert predicted["external"].dtype == bool

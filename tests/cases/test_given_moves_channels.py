@@ -25,7 +25,7 @@ def test_the_channel_moves_by_what_is_given(case):
 def test_validate_does_not_call_it_still(case, call):
     code, out, _ = call("validate", case("given_moves_channels") / "study.toml")
     assert code == 0
-    assert "machine itself moves" not in out
+    assert "no own channel moves" not in out
     assert "noise of angle is about" not in out
     assert "need errors of" in out  # of far more than what is allowed for
 
@@ -34,7 +34,7 @@ def test_validate_does_not_call_it_still(case, call):
 @pytest.mark.usefixtures("no_pictures")
 def test_the_bend_is_found_and_allowed_for(case, call):
     code, complaint, out = run_little(call, case("given_moves_channels") / "study.toml")
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     results = read_results(out)
     assert "lost" not in results.summary
     assert "disagree" not in results.summary["headline"]
@@ -55,4 +55,4 @@ def test_uses_take_a_machine_of_instruments_alone(case, call):
     assert call("verify", out, "--measured", folder / "readings.csv", "--allow-unconverged")[0] == 0
     code, _, complaint = call("compensate", out, plan, "--allow-unconverged")
     assert code == 2
-    assert "all its channels are external" in complaint
+    assert "external channels" in complaint

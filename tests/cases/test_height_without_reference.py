@@ -23,7 +23,7 @@ def test_endless_measuring_is_not_called_what_helps(case, call):
     assert summary["requirements"]["probability_parameters_known"] > 0.95
     assert summary["requirements"]["probability_all_candidates"] < 0.05
     assert summary["decision"] == "infeasible"
-    assert "another channel, instrument" in " ".join(results.table("findings")["action"])
+    assert "Add a channel" in " ".join(results.table("findings")["action"])
 
 
 def test_measuring_all_is_measuring_one_after_the_other(rng):

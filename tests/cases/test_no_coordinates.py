@@ -20,7 +20,7 @@ def test_it_is_fit_to_run(case, call):
 @pytest.mark.usefixtures("no_pictures")
 def test_skew_is_found(case, call):
     code, complaint, out = run_little(call, case("no_coordinates") / "study.toml")
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     results = read_results(out)
     assert "lost" not in results.summary
     found = results.table("parameters").set_index("parameter").loc["skew"]

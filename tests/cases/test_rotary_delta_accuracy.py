@@ -31,7 +31,7 @@ def read(study):
     ("key", "text", "said"),
     [
         ("", "[requirements]\nphi = 0.1\n", "requirements: found 'phi'"),
-        ('accuracy_frame = "base"', "", "accuracy_frame: found 'base', and tracker_frame"),
+        ('accuracy_frame = "base"', "", "accuracy_frame: found 'base', but tracker_frame"),
     ],
 )
 def test_what_the_tool_or_the_base_does_not_have_is_refused(study, key, text, said):

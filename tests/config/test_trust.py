@@ -71,7 +71,7 @@ def test_trusted_code_runs_until_it_changes(stranger, mark, call):
     module.write_text(module.read_text() + "# another\n")
     code, _, err = call("validate", stranger)
     assert (code, err.count("\n")) == (2, 1)
-    assert "that was changed since it was trusted" in err
+    assert "changed since trusted" in err
 
 
 def test_code_is_trusted_wherever_it_lies_and_forgotten(stranger, tmp_path, call):
@@ -128,7 +128,7 @@ def test_no_file_outside_of_the_configs_folder_is_run(where, tmp_path, mark, cal
     (inside / "toy.toml").write_text(TOY.format(f"{where.format(folder=tmp_path)}:Toy"))
     code, out, err = call("validate", inside / "toy.toml", "--trust")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "a file outside of" in err
+    assert "expected a file in" in err
     assert not mark.exists()
     assert list_code(inside) == []
 
@@ -154,7 +154,7 @@ def test_only_the_text_that_was_trusted_is_run(form, tmp_path, mark, monkeypatch
     monkeypatch.delitem(sys.modules, "helper", raising=False)
     (tmp_path / "machine.toml").write_text('kind = "own.py:Own"\n')
     assert bc.trust(tmp_path)[0].name == "own.py"
-    with pytest.raises(bc.InputError, match="fails to import") if form == "link" else nullcontext():
+    with pytest.raises(bc.InputError, match="whose import fails") if form == "link" else nullcontext():
         load_class("MACHINES", "own.py:Own", tmp_path)
     assert not mark.exists()
 
@@ -167,7 +167,7 @@ def test_a_module_that_no_package_offers_is_not_imported(name, tmp_path, mark, c
     monkeypatch.syspath_prepend("")
     code, _, err = call("validate", "toy.toml", "--trust")
     assert (code, err.count("\n")) == (2, 1)
-    assert f"found {name!r}, which no installed package offers, expected file.py:Class" in err
+    assert f"found {name!r}, expected file.py:Class" in err
     assert not mark.exists()
 
 
@@ -185,7 +185,7 @@ def test_nothing_of_the_current_folder_is_imported(shadow, tmp_path, mark):
     command = [sys.executable, "-m", "bayescal", "validate", "toy.toml", "--trust"]
     done = subprocess.run(command, cwd=here, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "kind: found 'strange', expected one of" in done.stderr
+    assert "kind: found 'strange'," in done.stderr
     assert not mark.exists()
 
 

@@ -21,12 +21,12 @@ def test_positions_within_the_range():
 @pytest.mark.parametrize(
     ("written", "said"),
     [
-        (POSITIONS - HOME, "; they look like displacements from the initial positions"),
-        (1e-3 * POSITIONS, "; they look like metres"),
-        (1e3 * POSITIONS, "; they look like micrometres"),
-        (1e-3 * (POSITIONS - HOME), "; they look like displacements in metres"),
-        (POSITIONS + 5.0 * np.eye(20, 3), "range of 1.3 mm"),
-        (np.zeros((20, 3)), "range of 1.3 mm"),
+        (POSITIONS - HOME, "; displacements instead of positions?"),
+        (1e-3 * POSITIONS, "; metres?"),
+        (1e3 * POSITIONS, "; micrometres?"),
+        (1e-3 * (POSITIONS - HOME), "; displacements in metres?"),
+        (POSITIONS + 5.0 * np.eye(20, 3), "at most 1.3 mm"),
+        (np.zeros((20, 3)), "at most 1.3 mm"),
     ],
 )
 def test_what_was_perhaps_written(written, said):

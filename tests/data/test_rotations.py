@@ -52,11 +52,11 @@ def test_a_rotation_that_was_not_measured_is_none(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("rx_deg,qw\n1,1\n", "found column 'rx_deg' beside 'qw', expected rotations in one form"),
+        ("rx_deg,qw\n1,1\n", "found 'rx_deg' and 'qw'"),
         ("qw,qx,qy\n1,0,0\n", "found column 'qw' without 'qz'"),
         ("qw,qx,qy,qz\n2,0,0,0\n", "line 2: found a quaternion of length 2, expected 1"),
-        ("roll_deg,pitch_deg,yaw_deg\n1,2,\n", "line 2: found a rotation in part"),
-        ("rx_deg\n190\n", "at most 180 deg; angles about axes one after the other have other columns"),
+        ("roll_deg,pitch_deg,yaw_deg\n1,2,\n", "line 2: found part of a rotation"),
+        ("rx_deg\n190\n", "found a rotation vector of 190 deg, expected at most 180"),
     ],
 )
 def test_faults_are_said_in_a_line(tmp_path, text, said):

@@ -53,7 +53,7 @@ def test_poses_have_a_column_for_each_coordinate():
         ("beta,1", "beta,mm", r"line 6: unit of beta: found 'mm', expected '1'"),
         ("l[2],", "k[2],", r"line 4: parameter: found 'k\[2\]', did you mean 'l\[2\]'\?, expected those of l, beta"),
         ("l[2],", "l[1],", r"line 4: parameter 'l\[1\]' is already on line 3, expected once"),
-        ("beta,1,0.123456789012\n", "", r"line 5: found the last of 3 parameters, but no beta, expected all 4"),
+        ("beta,1,0.123456789012\n", "", "line 5: found 3 parameters without beta, expected 4"),
         ("0.123456789012", "0.75", r"parameter beta: found 0\.75, expected above 0 and below 0\.5"),
         ("0.123456789012", "nan", r"line 6: value: found nan, expected a finite number"),
         ("unit", "units", r"line 2: found column 'units', did you mean 'unit'\?"),

@@ -32,14 +32,14 @@ def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "found no header, expected the columns pose, x_mm, y_mm"),
+        ("", "found no header, expected pose, x_mm, y_mm"),
         ("# only a comment\n", "found no header"),
-        ("pose,x_mm,y_mm\n", "found no rows, expected at least one"),
+        ("pose,x_mm,y_mm\n", "found no rows"),
         ("# note\npose,x_m,y_mm\nA,1,2\n", "line 2: found column 'x_m', did you mean 'x_mm'?, expected pose, x_mm"),
         ("pose,x_mm\nA,1\n", "line 1: found no column 'y_mm', expected pose, x_mm, y_mm"),
         ("pose,x_mm,y_mm,y_mm\nA,1,2,3\n", "line 1: found a column twice"),
         ("pose,x_mm,y_mm,colour\nA,1,2,3\n", "line 1: found column 'colour'"),
-        ("pose;x_mm;y_mm\nA;1;2\n", "found cells separated by semicolons, expected commas, and decimals with points"),
+        ("pose;x_mm;y_mm\nA;1;2\n", "separated by semicolons"),
         ("pose\tx_mm\ty_mm\nA\t1\t2\n", "line 1: found cells separated by tabs, expected commas"),
         ("A,1,2\nB,1,2\n", "line 1: found column 'A', expected"),
         ("pose,x_mm,y_mm\nA,1,2\n\n# note\nB,1\n", "line 5: found 2 cells, expected 3"),
@@ -52,8 +52,8 @@ def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
         ("pose,x_mm,y_mm\nA,1,-inf\n", "line 2: y_mm: found -inf, expected a finite number"),
         ("pose,x_mm,y_mm\nA,1,1e999\n", "line 2: y_mm: found 1e999, expected a finite number"),
         ("pose,x_mm,y_mm\nA,1,1e300\n", "line 2: y_mm: found 1e300, expected at most 1e+09 in size"),
-        ('pose,x_mm,y_mm\nA,1,"2\nB,1,2\n', "line 2: found no CSV row"),
-        ('pose,x_mm,y_mm\nA,1,2\nB,1,"2\n', "line 3: found no CSV row"),
+        ('pose,x_mm,y_mm\nA,1,"2\nB,1,2\n', "line 2: not a CSV row"),
+        ('pose,x_mm,y_mm\nA,1,2\nB,1,"2\n', "line 3: not a CSV row"),
     ],
 )
 def test_faulty_table(path, text, expected):
@@ -62,10 +62,10 @@ def test_faulty_table(path, text, expected):
 
 
 def test_missing_file_directory_and_binary(path):
-    assert "no such file, expected a CSV table" in fail(path)
-    assert "is a folder, expected a CSV table" in fail(path.parent)
+    assert f"{path}: no such" in fail(path)
+    assert f"{path.parent}: is a folder" in fail(path.parent)
     path.write_bytes(b"pose,x_mm,y_mm\nA,\xff,2\n")
-    assert "line 2: cannot be read as UTF-8 text" in fail(path)
+    assert "line 2: not UTF-8" in fail(path)
 
 
 def test_empty_name_is_an_error(path):
@@ -100,7 +100,7 @@ def test_line_numbers_count_comments_and_blanks(path):
 def test_matrix_of_another_width(path):
     path.write_text("rho_1,rho_2\n1,2\n")
     np.testing.assert_array_equal(read_matrix(path, 2), [[1, 2]])
-    with pytest.raises(InputError, match="found 2 columns, expected 6, one per leg"):
+    with pytest.raises(InputError, match="2 columns, expected 6,"):
         read_matrix(path, 6)
 
 
@@ -118,7 +118,7 @@ def test_a_matrix_has_its_legs_by_name(path):
 @pytest.mark.parametrize("header", ["a,b", "rho_1,rho_3", "rho_01,rho_2", "rho_1_mm,rho_1"])
 def test_a_matrix_without_the_legs_numbers(path, header):
     path.write_text(f"{header}\n1,2\n")
-    with pytest.raises(InputError, match="expected one per leg with its number, such as drho_1 to drho_2"):
+    with pytest.raises(InputError, match="drho_1 to drho_2"):
         read_matrix(path, 2)
 
 
@@ -131,8 +131,8 @@ def test_rows_of_legs_in_any_order(path):
     ("rows", "fault"),
     [
         ("1,1\n1,2\n", "leg '1' is already on line 2, expected once"),
-        ("1,1\n3,2\n", "leg: found '3', expected a number from 1 to 2"),
-        ("2,1\n", "found no row of leg 1, expected one of each leg from 1 to 2"),
+        ("1,1\n3,2\n", "leg: found '3', expected 1 to 2"),
+        ("2,1\n", "found no row of leg 1, expected legs 1 to 2"),
     ],
 )
 def test_rows_of_legs_at_fault(path, rows, fault):

@@ -93,7 +93,7 @@ MADE = (
     "yu2023/table4.toml",
 )
 """Experiments of all kinds, run for their results."""
-NOTES = ("no draws of the posterior", "used all the same", "written by an earlier version")
+NOTES = ("no posterior draws", "used (--allow-changed-files)", "found no manifest.json")
 """What is said beside success of results that lack something."""
 POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 NOISE = ("--position-um", "15", "--orientation-arcsec", "15")

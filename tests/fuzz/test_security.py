@@ -128,7 +128,7 @@ def test_own_class_is_refused_on_demand(own, where, monkeypatch):
         monkeypatch.setenv("BAYESCAL_NO_CUSTOM_CODE", "1")
     arguments = {"before": ["--no-custom-code", "validate", config], "after": ["validate", config, "--no-custom-code"]}
     said = judge_refusal(list(arguments.get(where, ["validate", config])), config.parent)
-    assert "found 'linear_delta.py:LinearDelta', which is no built-in one" in said
+    assert "found 'linear_delta.py:LinearDelta'," in said
     assert not mark.exists()
 
 

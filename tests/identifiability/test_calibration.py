@@ -30,7 +30,7 @@ def test_comparison_of_known_errors():
     assert found.covered == pytest.approx([1.0, 0.0])
     assert found.z == pytest.approx([0.5, 2.0])
     none = replace(simulated, errors=errors[:0], claimed=claimed[:0])
-    with pytest.raises(InputError, match="found 0 that converged"):
+    with pytest.raises(InputError, match="found 0 converged"):
         compare_with_prediction(none, np.eye(2))
 
 

@@ -121,7 +121,7 @@ def test_walkers_that_span_too_little_are_an_error(proposal):
         return np.column_stack([rng.standard_normal((n, 2)), np.zeros(n)])
 
     for n_walkers, starts in ((20, draw_flat), (5, None)):
-        with pytest.raises(NumericalError, match="do not span all 3 coordinates"):
+        with pytest.raises(NumericalError, match="do not span 3 coordinates"):
             run_ensemble(gaussian, proposal, np.random.SeedSequence(5), n_walkers, 0, 20, starts)
 
 
@@ -142,5 +142,5 @@ def test_walkers_start_where_the_density_is_finite(proposal):
 
     run = run_ensemble(half, proposal, np.random.SeedSequence(5), 20, 0, 20)
     assert run.draws[..., 0].min() > 1.0
-    with pytest.raises(NumericalError, match="only 0 of 20 walkers"):
+    with pytest.raises(NumericalError, match="0 of 20 walkers"):
         run_ensemble(lambda y: np.full(len(y), -np.inf), proposal, np.random.SeedSequence(5), 20, 0, 20)

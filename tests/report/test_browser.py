@@ -107,7 +107,7 @@ def test_values_and_terms_are_told(browser, path):
         assert page.locator("#tip").inner_text() == "stiff; Error (µm) 3"
         term = page.locator("#verdict abbr", has_text="posterior")
         term.focus()
-        assert page.locator("#tip").inner_text().startswith("What is known of the parameters")
+        assert page.locator("#tip").inner_text().startswith("Probability distribution of the parameters")
         page.keyboard.press("Escape")
         assert page.locator("#tip").is_hidden()
 

@@ -190,7 +190,7 @@ def test_a_figure_is_the_same_whatever_matplotlibrc_says():
 def test_figures_need_names_of_their_own():
     with pytest.raises(ValueError, match=r"figure 'a' is twice"):
         make_page(Figure("a", "", draw), Fold("", (Figure("a", "", draw),)))
-    with pytest.raises(ValueError, match=r"figure '\.\./a': expected letters"):
+    with pytest.raises(ValueError, match=r"figure '\.\./a':"):
         Figure("../a", "", draw)
 
 

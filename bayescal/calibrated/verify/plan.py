@@ -117,7 +117,7 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
         within = ((commands >= model.command_range[:, 0]) & (commands <= model.command_range[:, 1])).all(axis=1)
     _, found = model.locate(calibrated.theta, np.nan_to_num(commands), given, weights=calibrated.weights)
     if not (within & found).any():
-        raise InputError(f"machine {calibrated.name!r}: found no pose of the workspace in reach, expected some")
+        raise InputError(f"machine {calibrated.name!r}: found no workspace pose in reach, expected some")
     return commands[within & found], {name: value[within & found] for name, value in given.items()}
 
 
@@ -173,9 +173,9 @@ def plan_reverification(
     worst = choice.judge(chosen)[1]
     least = int(np.argmin(worst))
     raise InputError(
-        f"verify: found that {len(chosen)} poses show a shift of {kept.names[least]} by "
-        f"{say_size(float(demand.shift[least]), kept.units[least])} with {100.0 * worst[least]:.1f} % in "
-        f"{demand.sessions} sessions, expected {100.0 * demand.power:g} %: a larger shift, more sessions or less noise"
+        f"verify: found that {len(chosen)} poses detect a shift of {kept.names[least]} by "
+        f"{say_size(float(demand.shift[least]), kept.units[least])} with {100.0 * worst[least]:.1f} "
+        f"%, expected {100.0 * demand.power:g} %: larger shift, more sessions, less noise"
     )
 
 
@@ -288,7 +288,7 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
     readings, _ = read_poses(path, actuators, noise, mechanism.n_legs)
     turned = np.isfinite(readings.values[:, 3:])
     for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
-        raise InputError(f"{path}: pose {readings.names[k]!r}: found a rotation measured in part, expected all or none")
+        raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
     with name_faults(path if actuators is None else actuators):
         check_range(readings.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, readings.names)
     check_units(machine, readings, path)
@@ -313,16 +313,14 @@ def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrat
     if plan is None:
         missing = [one.name for one in calibrated.command_channels]
         if missing and not there:
-            raise InputError(
-                f"{path}: found no reading of {', '.join(missing)}, expected it there, or --actuators PLAN.csv"
-            )
+            raise InputError(f"{path}: found no {', '.join(missing)}, expected it, or --actuators PLAN.csv")
         return readings
     if there:
-        raise InputError(f"{path}: found commanded channels beside those of {plan}, expected them once")
+        raise InputError(f"{path}: found commanded channels also in {plan}, expected them once")
     names, commands, known = read_commands(plan, calibrated)
     for name in readings.poses:
         if name not in names:
-            raise InputError(f"{path}: pose {name!r} is not in {plan}, expected it there")
+            raise InputError(f"{path}: pose {name!r}: not in {plan}")
     rows = [names.index(name) for name in readings.poses]
     values[:, own] = commands[rows]
     given |= {name: value[rows] for name, value in known.items()}
@@ -335,7 +333,7 @@ def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachin
     for k, channel in np.argwhere(readings.present & ~np.isfinite(readings.sd) & ~own)[:1]:
         one = channels[channel]
         raise InputError(
-            f"{path}: pose {readings.poses[k]!r}: found a reading of {one.name} without noise, expected a column "
+            f"{path}: pose {readings.poses[k]!r}: found no noise of {one.name}, expected column "
             f"{one.stem}_sd_{one.unit}, or --noise-from"
         )
     for name, value in readings.given.items():
@@ -352,11 +350,11 @@ def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: 
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
     if isinstance(calibrated.model, Legs):
         how = [
-            "Measure position and orientation of the platform at each, in the base frame, as pose, x_mm, y_mm, z_mm,",
+            "Measure the platform pose, base frame: pose, x_mm, y_mm, z_mm,",
             f"rx_deg, ry_deg, rz_deg; {back}",
         ]
     else:
-        how = ["Read the channels at each, as in the data of the calibration;", back]
+        how = ["Read the channels at each;", back]
     comments = [*calibrated.source.describe(), title, *how]
     columns = ["pose", "use", *plan.given, *(name_column(calibrated, one) for one in channels)]
     known = list(zip(*plan.given.values(), strict=True)) or [()] * len(plan.commands)
@@ -381,8 +379,8 @@ def describe_plan(plan: ReverificationPlan) -> str:
     if demand.in_sd is not None:
         size = f"{demand.in_sd:g} of its standard deviations"
     return (
-        f"{n} pose{'s a session show' if n > 1 else ' a session shows'} a shift of {which} by {size} with "
-        f"{worst:.1f} % in {sessions}{first}; false alarms {PERCENT * demand.false_alarm:g} % over all of them"
+        f"{n} pose{'s' if n > 1 else ''}: shift of {which} by {size} detected with {worst:.1f} % in "
+        f"{sessions}{first}; false alarms {PERCENT * demand.false_alarm:g} %"
     )
 
 
@@ -402,7 +400,6 @@ def describe_reverification(found: Reverification) -> list[str]:
     lines += [f"{name}: {size} if it alone moved" for name, size in zip(suspects.names, sizes, strict=True)]
     if found.is_odd:
         lines.append(
-            f"but what was measured fits neither the calibration nor a shift of one {suspects.kind} "
-            f"(probability {found.left_over:.1g}): several of them, a frame or the instrument may be off"
+            f"inconsistent with the calibration and any single {suspects.kind} shift (p = {found.left_over:.1g})"
         )
     return lines

@@ -74,13 +74,11 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Tes
         wanted = [LENGTH]
     for name in wanted:
         if name not in layout.symbols and name not in layout.names:
-            raise InputError(
-                f"verify: shift of {name!r}: unknown here, expected some of {', '.join(layout.symbols)}, or a name"
-            )
+            raise InputError(f"verify: found {name!r}, expected some of {', '.join(layout.symbols)}, or a name")
     names = [n for k, n in enumerate(layout.names) if n in wanted or n.partition("[")[0] in wanted]
     names = names or list(calibrated.names)
     if not names:
-        raise InputError("verify: found no free parameter, expected some, or --parameters")
+        raise InputError("verify: found no free parameter, expected --parameters")
     places = np.array([layout.names.index(name) for name in names])
     lengths = isinstance(model, Legs) and list(wanted) == [LENGTH]
     called = tuple(f"{model.member} {n.partition('[')[2].rstrip(']')}" if lengths else n for n in names)
@@ -192,7 +190,7 @@ def predict_knowledge(
     model = calibrated.model
     pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
     if not found.all():
-        raise InputError(f"pose {int(np.argmin(found)) + 1}: found no pose of the machine, expected one")
+        raise InputError(f"pose {int(np.argmin(found)) + 1}: found no pose, expected one")
     n = len(commands)
     values = np.where(planned.present, model.read(calibrated.theta, pose, given), np.nan)
     values[:, calibrated.commanded] = model.read(calibrated.theta, pose, given)[:, calibrated.commanded]
@@ -230,7 +228,7 @@ def find_poses(calibrated: CalibratedMachine, session: Measurements) -> Array:
             first, _ = miss(begin, np.arange(len(begin)))
             start[rows], there = solve(miss, first, begin, model.pose_scale, follow)
             for k in np.flatnonzero(rows)[~there][:1]:
-                raise InputError(f"pose {session.poses[k]!r}: found no pose of the machine near its readings")
+                raise InputError(f"pose {session.poses[k]!r}: found no pose near its readings")
     return start
 
 
@@ -292,13 +290,10 @@ def _linearise(
     calibrated: CalibratedMachine, suspects: TestedParameters, session: Measurements, pose: Array
 ) -> PoseInformation:
     if calibrated.covariance is None:
-        raise InputError("found no draws of the posterior, expected them: a reverification needs to know what is known")
+        raise InputError("found no posterior draws, expected them")
     q, n_read = pose.shape[1], session.present.sum(axis=1)
     for k in np.flatnonzero(n_read <= q)[:1]:
-        raise InputError(
-            f"{session.poses[k]}: found {n_read[k]} channels that are read and {q} coordinates of the pose, which take "
-            "all that is read: no shift shows; expected more channels, an instrument's or redundant ones"
-        )
+        raise InputError(f"{session.poses[k]}: found {n_read[k]} channels for {q} pose coordinates: no shift shows")
     error, by_pose, by_parameters = _compare(calibrated, session, pose)
     known, free = calibrated.functions, by_parameters[..., calibrated.free]
     drifting, beside = np.zeros((*error.shape, 0)), None
@@ -333,8 +328,8 @@ def keep_seen(
     seen = np.logical_or.reduce([one.seen for one in parts])
     if (suspects.stated and not seen.all()) or not seen.any():
         raise InputError(
-            f"verify: found that a shift of {suspects.names[int(np.argmin(seen))]} changes nothing that is read, or "
-            "only as another pose would, expected parameters whose shifts show, or more channels"
+            f"verify: found that a shift of {suspects.names[int(np.argmin(seen))]} has no effect on "
+            "readings, expected other parameters or more channels"
         )
     return suspects.pick(seen), [one.pick(seen) for one in parts]
 

@@ -109,7 +109,9 @@ def read_stations(path: Path | None) -> Stations:
     table.check_unique([(name,) for name in names], "station")
     vector = read_rotation_vectors(table)
     missing = ~np.isfinite(vector).all(axis=1)
-    table.refuse(missing, lambda _: f"found no whole rotation, expected {', '.join(VECTOR)} or {', '.join(QUATERNION)}")
+    table.refuse(
+        missing, lambda _: f"found part of a rotation, expected {', '.join(VECTOR)} or {', '.join(QUATERNION)}"
+    )
     return Stations(tuple(names), table.numbers(CARTESIAN), matrix_from_rotation_vector(vector))
 
 
@@ -149,11 +151,11 @@ def _locate(
     table.check_unique(list(zip(found, seen, what, strict=True)), "pose/station/point")
     for row, (station, point) in enumerate(zip(seen, what, strict=True)):
         if station not in stations.names:
-            where = "in the table, without data.stations" if station_file is None else f"in {station_file}"
+            where = ", without data.stations" if station_file is None else f"in {station_file}"
             known = ", ".join(stations.names)
             raise InputError(f"{table.where(row)}: station {station!r} is not {where}, expected one of {known}")
         if point not in points:
-            raise InputError(f"{table.where(row)}: point {point!r} is not in {probe}, expected it there")
+            raise InputError(f"{table.where(row)}: point {point!r}: not in {probe}")
     index = {name: k for k, name in enumerate(poses)}
     return (
         np.array([index[name] for name in found]),
@@ -203,11 +205,11 @@ def _read_covariance(table: CsvTable, noise: PointNoise) -> Array:
     same, each = table.has(SAME), table.has(DEVIATIONS)
     ways = (covariance is not None) + same + each
     if ways > 1 or table.has(POLAR_DEVIATIONS):
-        raise InputError(f"{table.path}: found columns of several kinds of noise, expected one")
+        raise InputError(f"{table.path}: found several kinds of noise columns, expected one")
     wanted = "sd_um, or sd_x_um, sd_y_um, sd_z_um, or cov_x_x ... cov_z_z"
     choose_noise(table.path, ways == 1, bool(noise.point_um) or noise.is_polar, wanted, "point_um")
     if noise.is_polar:
-        raise InputError(f"{table.path}: found coordinates and the noise of ranges and angles, expected point_um")
+        raise InputError(f"{table.path}: found coordinates with noise of ranges and angles, expected point_um")
     if covariance is None:
         sd = table.positive(SAME if same else DEVIATIONS) if ways else np.array(noise.point_um)
         covariance = np.eye(3) * np.broadcast_to(sd, measured.shape)[:, None, :] ** 2
@@ -219,16 +221,14 @@ def _read_polar_noise(table: CsvTable, noise: PointNoise, distance: Array) -> Ar
     """Return standard deviations of range (mm) and angles (rad), shape (rows, 3)."""
     upper, _ = name_covariances("xyz")
     if any(name in table.columns for name in (*SAME, *DEVIATIONS, *upper)):
-        raise InputError(
-            f"{table.path}: found the noise of coordinates beside ranges, expected that of ranges and angles"
-        )
+        raise InputError(f"{table.path}: found ranges with coordinate noise, expected noise of ranges and angles")
     stated = table.has(POLAR_DEVIATIONS)
     keys = "range_um, azimuth_arcsec and elevation_arcsec"
     choose_noise(table.path, stated, noise.is_polar or bool(noise.point_um), ", ".join(POLAR_DEVIATIONS), keys)
     if stated:
         sd = table.positive(POLAR_DEVIATIONS)
     elif not noise.is_polar:
-        raise InputError(f"{table.path}: found ranges and angles and point_um, expected {keys}")
+        raise InputError(f"{table.path}: found ranges and angles with point_um, expected {keys}")
     else:
         return spread_polar(noise, distance)
     return sd * np.array([MICROMETRE, ARCSECOND, ARCSECOND])

@@ -56,15 +56,15 @@ def read_taken(table: CsvTable, path: Path | None, n_legs: int) -> PoseRecords:
     columns = name_actuators(n_legs)
     own = table.has(columns)
     if own and path is not None:
-        raise InputError(f"{table.path}: found actuator positions beside those of {path}, expected them once")
+        raise InputError(f"{table.path}: found actuator positions also in {path}, expected them once")
     if not own and path is None:
         raise InputError(
-            f"{table.path}: found no columns {columns[0]} to {columns[-1]} and no data.actuators, expected either"
+            f"{table.path}: found no columns {columns[0]} to {columns[-1]}, expected them, or data.actuators"
         )
     uses = read_uses(table) if "use" in table.columns else None
     if path is None:
         if uses is None:
-            raise InputError(f"{table.path}: found no column 'use', expected it beside the actuator positions")
+            raise InputError(f"{table.path}: found no column 'use' with the actuator positions, expected one")
         check_calibration(table.path, uses)
         return PoseRecords(tuple(names), uses, table.numbers(columns))
     known, verification, positions = read_actuators(path, n_legs)
@@ -73,7 +73,7 @@ def read_taken(table: CsvTable, path: Path | None, n_legs: int) -> PoseRecords:
     order = [places[name] for name in names]
     for row, k in enumerate(order):
         if uses is not None and uses[row] != verification[k]:
-            raise InputError(f"{table.where(row)}: use: found another than in {path}, expected the same")
+            raise InputError(f"{table.where(row)}: use: differs from {path}, expected the same")
     check_calibration(path, verification)
     return PoseRecords(tuple(names), verification[order], positions[order])
 
@@ -83,7 +83,7 @@ def check_same_poses(table: CsvTable, names: Sequence[str], known: Sequence[str]
     there, listed = set(names), set(known)
     for row, name in enumerate(names):
         if name not in listed:
-            raise InputError(f"{table.where(row)}: pose {name!r} is not in {path}, expected it there")
+            raise InputError(f"{table.where(row)}: pose {name!r}: not in {path}")
     for name in known:
         if name not in there:
             raise InputError(f"{table.path}: found nothing of pose {name!r}, which {path} lists")
@@ -129,10 +129,7 @@ def read_covariances(table: CsvTable, components: Sequence[str], measured: np.nd
     result = np.where(np.isfinite(result), result, mirrored)
     table.refuse(
         measured[:, :, None] & measured[:, None, :] & ~np.isfinite(result),
-        lambda _, i, j: (
-            f"cov_{components[min(i, j)]}_{components[max(i, j)]}: found nothing, expected a number, since both were "
-            "measured"
-        ),
+        lambda _, i, j: f"cov_{components[min(i, j)]}_{components[max(i, j)]}: found nothing, expected a number",
     )
     return result
 
@@ -143,27 +140,23 @@ def check_positive(table: CsvTable, covariance: Array, measured: np.ndarray) -> 
         part = matrix[np.ix_(chosen, chosen)]
         variance = np.diagonal(part)
         if not (variance > 0.0).all():
-            raise InputError(
-                f"{table.where(row)}: covariance: found a variance of {variance.min():g}, expected above 0"
-            )
+            raise InputError(f"{table.where(row)}: covariance: found variance {variance.min():g}, expected > 0")
         scale = np.sqrt(variance)
         if len(part) and np.linalg.eigvalsh(part / np.outer(scale, scale))[0] < LEAST_EIGENVALUE:
-            raise InputError(
-                f"{table.where(row)}: covariance: found a matrix that is not positive definite, expected one that is"
-            )
+            raise InputError(f"{table.where(row)}: covariance: found an indefinite matrix, expected positive definite")
 
 
 def choose_noise(path: Path, in_table: bool, in_config: bool, columns: str, keys: str) -> None:
     """Raise InputError where the noise is stated neither in the table nor in the config, or in both."""
     if in_table and in_config:
-        raise InputError(f"{path}: found columns of the noise beside {keys} in [data], expected it stated once")
+        raise InputError(f"{path}: found noise columns and {keys} in [data], expected either")
     if not in_table and not in_config:
         raise InputError(describe_no_noise(path, columns, keys))
 
 
 def describe_no_noise(path: Path, columns: str, keys: str) -> str:
     """Return that the noise is stated neither in a table nor in the config."""
-    return f"{path}: found no noise, expected the columns {columns}, or {keys} in [data]"
+    return f"{path}: found no noise, expected columns {columns}, or {keys} in [data]"
 
 
 VECTOR = ("rx_deg", "ry_deg", "rz_deg")
@@ -200,7 +193,7 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
     found = [names for names in forms if any(name in table.columns for name in names)]
     if len(found) > 1:
         first, second = (next(name for name in names if name in table.columns) for names in found[:2])
-        raise InputError(f"{table.path}: found column {first!r} beside {second!r}, expected rotations in one form")
+        raise InputError(f"{table.path}: found {first!r} and {second!r}, expected one rotation form")
     if not found:
         return np.full((len(table.rows), 3), np.nan)
     form = forms[found[0]]
@@ -210,7 +203,7 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
     values = table.numbers(found[0], gaps=True)
     there = np.isfinite(values)
     whole = there.all(axis=1)
-    text = f"found a rotation in part, expected {', '.join(found[0])} or none of them"
+    text = f"found part of a rotation, expected {', '.join(found[0])} or none"
     table.refuse(there.any(axis=1) & ~whole, lambda _: text)
     result = np.full((len(values), 3), np.nan)
     if form == QUATERNION:
@@ -232,8 +225,8 @@ def _read_vectors(table: CsvTable, names: Sequence[str]) -> Array:
     table.refuse(
         largest > 180.0,
         lambda row: (
-            f"found a rotation vector of {largest[row]:g} deg, expected at most 180 deg; angles about axes one after "
-            f"the other have other columns, such as {', '.join(ROLL_PITCH_YAW)}"
+            f"found a rotation vector of {largest[row]:g} deg, expected at most 180; other angles "
+            f"have columns such as {', '.join(ROLL_PITCH_YAW)}"
         ),
     )
     return np.radians(values)
@@ -297,11 +290,11 @@ def _read_values(table: CsvTable) -> Array:
     position = np.full((len(table.rows), len(POSITION)), np.nan)
     there = [k for k, name in enumerate(POSITION) if name in table.columns]
     if not there and not any(name in table.columns for name in (*VECTOR, *OTHER_COLUMNS)):
-        raise InputError(f"{table.path}: found no coordinate, expected some of the columns {', '.join(VALUES)}")
+        raise InputError(f"{table.path}: found no coordinate, expected some of {', '.join(VALUES)}")
     if there:
         position[:, there] = table.numbers([POSITION[k] for k in there], gaps=True)
     values = np.concatenate([position, read_rotation_vectors(table)], axis=1)
-    table.refuse(~np.isfinite(values).any(axis=1), lambda _: "found no coordinate, expected one at least")
+    table.refuse(~np.isfinite(values).any(axis=1), lambda _: "found no coordinate, expected one")
     return values
 
 
@@ -310,7 +303,7 @@ def read_noise(table: CsvTable, noise: PoseNoise, measured: np.ndarray) -> Array
     covariance = read_covariances(table, POSE, measured)
     deviations = [k for k, name in enumerate(DEVIATIONS) if name in table.columns]
     if covariance is not None and deviations:
-        raise InputError(f"{table.path}: found standard deviations beside covariances, expected either")
+        raise InputError(f"{table.path}: found standard deviations and covariances, expected either")
     stated = covariance is not None or bool(deviations)
     choose_noise(table.path, stated, noise.is_stated, COLUMNS, KEYS)
     if covariance is not None:

@@ -259,7 +259,7 @@ def _compare(found: Array, expected: Array, units: dict[float, str], what: str, 
         return
     for factor, word in units.items():
         if np.linalg.norm(factor * change - wanted) < SIMILAR * spread:
-            raise InputError(f"{path}: found {what} that change from pose to pose as if in {word}, expected {unit}")
+            raise InputError(f"{path}: found {what} that look like {word}, expected {unit}")
 
 
 def check_places(machine: Machine, readings: TrackedPoints, places: Array, path: Path) -> None:
@@ -270,13 +270,12 @@ def check_places(machine: Machine, readings: TrackedPoints, places: Array, path:
     for s, name in enumerate(readings.stations):
         seen = readings.seen[:, s]
         if not seen.any():
-            raise InputError(f"{path}: found no point of station {name!r}, expected one at least")
+            raise InputError(f"{path}: found no point of station {name!r}, expected one")
         off = np.linalg.norm(readings.values[:, s] - points, axis=-1)[seen]
         away = np.linalg.norm(points - places[s], axis=-1)[seen]
         rms, distance = float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(away**2)))
         if rms > MAX_RANGE_FRACTION * distance:
             raise InputError(
-                f"{path}: station {name!r}: found its points {rms:.4g} mm (rms) from where the nominal machine has "
-                f"them, expected less than {MAX_RANGE_FRACTION * distance:.4g} mm: angles in degrees, lengths in mm, "
-                "the station's own place and direction"
+                f"{path}: station {name!r}: found points {rms:.4g} mm (rms) from nominal, expected "
+                f"less than {MAX_RANGE_FRACTION * distance:.4g}: check units and the station's place"
             )

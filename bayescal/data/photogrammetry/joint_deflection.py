@@ -92,7 +92,7 @@ def _compute_pad_shares(deflection: Array, leg: NDArray[np.int64], noise: float,
         count = used.sum(axis=-1, keepdims=True)
         if np.any(count == 0):
             pose = int(np.argmin(count[:, 0]))
-            raise PoseInputError(pose, f"found no seen target on the pad of leg {number}, expected at least 1")
+            raise PoseInputError(pose, f"pad of leg {number}: found no seen target, expected one")
         shares.append(used / count)
     return np.stack(shares, axis=1)
 
@@ -134,7 +134,7 @@ def measure_joint_deflection(
             f"fits {fit.position.shape[:-1]}, expected ({len(leg)}, 3), (P, {len(leg)}, 3) and (P,)"
         )
     if set(np.unique(leg).tolist()) != set(range(1, n_legs + 1)):
-        raise InputError(f"ring targets: found legs {np.unique(leg).tolist()}, expected every leg from 1 to {n_legs}")
+        raise InputError(f"ring targets: found legs {np.unique(leg).tolist()}, expected 1 to {n_legs}")
     normal = fit.rotation[..., 2]
     lever = measured - fit.position[:, None]
     deflection = np.einsum("pmi,pi->pm", lever, normal) - reference[:, 2]
@@ -154,8 +154,7 @@ def _check_actuators(deflection: JointDeflection, actuator_displacement: ArrayLi
     actuator = np.asarray(actuator_displacement, dtype=float)
     if actuator.shape != deflection.displacement.shape or not np.isfinite(actuator).all():
         raise InputError(
-            f"actuator displacements: found shape {actuator.shape}, "
-            f"expected {deflection.displacement.shape} of finite numbers"
+            f"actuator displacements: found shape {actuator.shape}, expected {deflection.displacement.shape}, finite"
         )
     return actuator
 
@@ -176,7 +175,7 @@ def fit_linear_deformation(deflection: JointDeflection, actuator_displacement: A
         raise InputError(f"linear deformation: found {len(actuator)} poses, expected at least 4")
     power = np.sum(actuator**2, axis=0)
     if np.any(power == 0):
-        raise InputError(f"linear deformation: found no movement of actuator {np.argmin(power) + 1}, expected some")
+        raise InputError(f"linear deformation: found no movement of actuator {np.argmin(power) + 1}")
     kappa = np.sum(actuator * deflection.displacement, axis=0) / power
     residual_sd = np.sqrt(np.sum((deflection.displacement - kappa * actuator) ** 2, axis=0) / dof)
     return KappaEstimate(kappa, residual_sd / np.sqrt(power) * np.sqrt(dof / (dof - 2)), residual_sd, dof)
@@ -195,8 +194,7 @@ def fit_matrix_deformation(deflection: JointDeflection, actuator_displacement: A
     rank = int(np.linalg.matrix_rank(actuator))
     if rank < n_legs:
         raise InputError(
-            f"matrix deformation: found {n_poses} poses with actuator displacements in {rank} independent directions, "
-            f"expected {n_legs} to determine the {n_legs**2} coefficients"
+            f"matrix deformation: found {n_poses} poses of rank {rank}, expected {n_legs} for {n_legs**2} coefficients"
         )
     weight = np.linalg.inv(deflection.covariance)
     precision = np.einsum("pij,pa,pb->iajb", weight, actuator, actuator).reshape(n_legs**2, n_legs**2)

@@ -89,16 +89,14 @@ def _check_shape(frame: _Frame, noise: float) -> None:
         fit = int(np.argmax(excess < least))
         raise PoseInputError(
             fit,
-            f"found seen targets only {excess[fit]:.3g} mm longer than wide, expected an elongated body "
-            f"with at least {least[fit]:.3g} mm (root sum of squares)",
+            f"found targets {excess[fit]:.3g} mm longer than wide, expected at least {least[fit]:.3g} mm",
         )
     arm = np.einsum("pi,pi->p", frame.offset[np.arange(len(frame.far)), frame.far], frame.axes[..., 0])
     if np.any(arm < least):
         fit = int(np.argmax(arm < least))
         raise PoseInputError(
             fit,
-            f"found no seen target farther than {arm[fit]:.3g} mm from their line, "
-            f"expected one at {least[fit]:.3g} mm or more",
+            f"found no target farther than {arm[fit]:.3g} mm from the line, expected {least[fit]:.3g} mm",
         )
 
 

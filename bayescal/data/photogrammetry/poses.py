@@ -111,8 +111,8 @@ def check_exchanged(survey: Survey, noise: float) -> None:
             if len(factors) > 0.5 * seen:
                 one, other = (body.names[rigid[k]] for k in pair)
                 raise InputError(
-                    f"found targets {one!r} and {other!r} of the {name} exchanged: at {len(factors)} poses they fit "
-                    f"{np.median(factors):.3g} times better the other way round, expected each by its name"
+                    f"{name}: found targets {one!r} and {other!r} exchanged (fit "
+                    f"{np.median(factors):.3g} times better at {len(factors)} poses)"
                 )
     _check_pads(survey.platform)
 
@@ -174,8 +174,7 @@ def _check_pads(platform: BodyTargets) -> None:
     if wrong:
         one, other = legs[wrong[0]], legs[int(best[wrong[0]])]
         raise InputError(
-            f"found the targets on the pad of leg {one} where those of leg {other} should be, at all poses together, "
-            "expected each on its own pad: perhaps pads are exchanged"
+            f"found targets on the pad of leg {one} where leg {other} should be, expected each on its own pad"
         )
 
 
@@ -188,7 +187,6 @@ def check_pad_places(platform: BodyTargets, joints: Array) -> None:
         nearest = int(np.argmin(away))
         if SUSPECT * away[nearest] < away[leg - 1]:
             raise InputError(
-                f"found the targets on the pad of leg {leg} {away[leg - 1]:.4g} mm from its joint and "
-                f"{away[nearest]:.3g} mm from that of leg {nearest + 1}, expected them on their own pad: perhaps pads "
-                "are exchanged"
+                f"found targets on the pad of leg {leg} {away[leg - 1]:.4g} mm from its joint, "
+                f"{away[nearest]:.3g} mm from that of leg {nearest + 1}, expected each on its own pad"
             )

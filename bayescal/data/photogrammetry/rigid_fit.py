@@ -179,11 +179,11 @@ def check_targets(reference: ArrayLike, measured: ArrayLike, noise: float) -> tu
     """
     reference, measured = np.asarray(reference, dtype=float), np.asarray(measured, dtype=float)
     if reference.ndim != 2 or reference.shape[1] != 3 or not np.isfinite(reference).all():
-        raise InputError(f"reference targets: found shape {reference.shape}, expected (n, 3) of finite numbers in mm")
+        raise InputError(f"reference targets: found shape {reference.shape}, expected (n, 3), finite, mm")
     if measured.ndim < 2 or measured.shape[-2:] != reference.shape:
         raise InputError(f"measured targets: found shape {measured.shape}, expected (..., {reference.shape[0]}, 3)")
     if not (np.isfinite(noise) and noise > 0):
-        raise InputError(f"target noise: found {noise}, expected a positive standard deviation in mm")
+        raise InputError(f"target noise: found {noise}, expected a positive sd in mm")
     flat = measured.reshape(-1, *reference.shape)
     seen = np.isfinite(flat).all(axis=-1)
     _check_spread(reference, seen, noise, "seen")
@@ -210,8 +210,8 @@ def _check_spread(reference: Array, used: NDArray[np.bool_], noise: float, word:
         pose = int(np.argmax(width < least))
         raise PoseInputError(
             pose,
-            f"found {count[pose]} {word} targets within {width[pose]:.3g} mm of a line, expected at least "
-            f"{least[pose]:.3g} mm (root sum of squares)",
+            f"found {count[pose]} {word} targets within {width[pose]:.3g} mm of a line, expected at "
+            f"least {least[pose]:.3g} mm",
         )
 
 
@@ -359,8 +359,8 @@ def fit_least_squares(reference: ArrayLike, measured: ArrayLike, noise: float) -
         pose = int(np.argmax(excess))
         raise PoseInputError(
             pose,
-            f"found residuals incompatible with the stated noise, {_state_noise(fit, pose, noise)}; expected both "
-            "alike, or the robust fit where some targets are wrong",
+            f"found residuals beyond the stated noise, {_state_noise(fit, pose, noise)}; use the "
+            "robust fit where targets are wrong",
         )
     return fit.with_batch(np.shape(measured)[:-2])
 

@@ -90,7 +90,7 @@ def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nda
             found = f"{len(rigid)} rigid targets on the {body}"
             raise InputError(f"{path}: found {found}, expected at least {MIN_TARGETS}")
         if is_collinear(rigid, COLLINEAR):
-            raise InputError(f"{path}: the rigid targets of the {body} lie on a line, expected them spread out")
+            raise InputError(f"{path}: rigid targets of the {body} lie on a line")
         result[body] = ([n for n, c in zip(names, chosen, strict=True) if c], legs[chosen].astype(int), points[chosen])
     return result
 
@@ -110,16 +110,16 @@ def _read_targets(
     measured = {body: np.full((len(poses), len(known[body][0]), 3), np.nan) for body in BODIES}
     for row, (pose, body, target) in enumerate(zip(*columns, strict=True)):
         if pose not in pose_index:
-            raise InputError(f"{table.where(row)}: pose {pose!r} is not in {actuators}, expected it there")
+            raise InputError(f"{table.where(row)}: pose {pose!r}: not in {actuators}")
         if body not in BODIES:
             raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
         if target not in target_index[body]:
-            raise InputError(f"{table.where(row)}: {body} target {target!r} is not in {reference}, expected it there")
+            raise InputError(f"{table.where(row)}: {body} target {target!r}: not in {reference}")
         measured[body][pose_index[pose], target_index[body][target]] = points[row]
     found = set(columns[0])
     for pose in poses:
         if pose not in found:
-            raise InputError(f"{table.path}: found no targets of pose {pose!r}, which {actuators} lists")
+            raise InputError(f"{table.path}: found no targets of pose {pose!r}, expected them by {actuators}")
     return measured
 
 
@@ -131,6 +131,4 @@ def _check_seen(body: BodyTargets, name: str, poses: list[str], path: Path) -> N
             found = f"{visible.sum()} rigid targets on the {name}"
             raise InputError(f"{path}: pose {pose!r}: found {found}, expected at least {MIN_TARGETS}")
         if is_collinear(body.reference[visible], COLLINEAR):
-            raise InputError(
-                f"{path}: pose {pose!r}: the {name}'s seen targets lie on a line, expected them spread out"
-            )
+            raise InputError(f"{path}: pose {pose!r}: seen targets of the {name} lie on a line")

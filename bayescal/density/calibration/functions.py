@@ -246,8 +246,7 @@ class FunctionErrors(ErrorTerm):
             if np.abs(found - exact).max() <= EXACT * np.abs(exact).max():
                 return np.asarray(nodes[:, None])
         raise InputError(
-            f"found {self.kernel} errors of a length down to {shortest:.2g} ranges, expected longer ones, "
-            f"which {MOST_NODES} values tell"
+            f"found {self.kernel} errors of length {shortest:.2g} ranges, expected longer for {MOST_NODES} nodes"
         )
 
     def _interpolate(self, travel: Array, nodes: Array) -> Array:
@@ -323,11 +322,8 @@ def _build_travel(config: FunctionConfig, rows: TermRows, places: np.ndarray) ->
         inputs = np.flatnonzero(rows.data.commanded.any(axis=0))
     names = rows.model.names
     for k in inputs[~(rows.reach[inputs] > 0.0)][:1]:
-        raise InputError(f"found {names[k]}, which does not change over the workspace, expected channels that do")
+        raise InputError(f"found {names[k]}, which is constant, expected channels that change")
     if config.input == "commands":
         for row, k in np.argwhere(~rows.data.present[:, inputs])[:1]:
-            raise InputError(
-                f"pose {rows.data.poses[row]!r}: found no reading of {names[inputs[k]]}, expected one, for errors are "
-                "functions of it"
-            )
+            raise InputError(f"pose {rows.data.poses[row]!r}: found no reading of {names[inputs[k]]}, expected one")
     return Travel(config.input, inputs, rows.home[inputs], rows.reach[inputs], rows.positions.pick(inputs))

@@ -62,7 +62,7 @@ class JointFit:
         here = self._rows(y, white, pose)
         residual, cost = self._cost(y, here[0], columns)
         if not np.isfinite(cost):
-            raise NumericalError("found no reading of the machine as expected at some start, expected some")
+            raise NumericalError("found no reading at some start")
         for _ in range(MAX_ITERATIONS):
             move, follow = self._propose(y, *here, columns[0], residual, damping)
             other = y + move

@@ -51,7 +51,7 @@ MIN_LEVER_RATIO = 0.6
 """Share of the usual lever, by the channels' noise, that levers are not below, nor beyond its inverse. By how much each
 joint errs is unknown: between errors of the same size at the tool and in the noise, intervals hold either."""
 COVERED = 1e-6  # of a function, what parameters may leave of it for it to be no second unknown
-COVERED_BY = "free parameters, such as the channels' gains, are the same functions"
+COVERED_BY = "free parameters are the same functions"
 OF_NOISE = 10.0 * MICROMETRE
 """What one standard deviation of the noise counts at the tool of a channel that does not move it, mm."""
 
@@ -201,13 +201,13 @@ class OwnChannelRows:
         found: dict[str, str] = {}
         for name in terms:
             if not n:
-                found[name] = "no channel of the machine itself moves"
+                found[name] = "no own channel moves"
             elif name == "random":
                 continue
             elif used < FEWEST_POSES:
                 found[name] = f"there are fewer than {FEWEST_POSES} rows"
             elif name != "drift" and not self.place.travel[self.used].any():
-                found[name] = "no channel of the machine itself moves"
+                found[name] = "no own channel moves"
             elif self.is_covered(name):
                 found[name] = COVERED_BY
             elif costly and name in BY_ROW:

@@ -15,7 +15,7 @@ from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
 PER_PARAMETER, RANK = 4, 1e-10  # draws for each parameter that regression on these takes; of singular values
-NOT_DETERMINED = "other readings do not determine the pose for every draw of the machine"
+NOT_DETERMINED = "other readings do not determine the pose"
 """Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
 

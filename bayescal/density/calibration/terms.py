@@ -585,9 +585,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         raise
     except Exception as error:
         text = " ".join(str(error).split())
-        raise InputError(
-            f"found a term that fails with {type(error).__name__}: {text}, expected one that works"
-        ) from error
+        raise InputError(f"found a term that fails with {type(error).__name__}: {text}") from error
     leading: dict[str, list[tuple[int, ...]]] = {
         "factor": [(2, n_channels)],
         "variance": [(2, n_poses, n_channels), (2, 1, n_channels)],
@@ -595,14 +593,14 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
     }
     supplied = [pair for pair in zip(leading, (factor, variance, columns), strict=True) if pair[1] is not None]
     if len(supplied) != 1:
-        raise InputError("found a term with none or several of factor, variance and columns, expected one of them")
+        raise InputError("expected one of factor, variance and columns of a term")
     for what, one in supplied:
         assert one is not None
         expected = leading[what]
         if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
             raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
         if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
-            raise InputError(f"found {what} that is not finite, or below zero, expected one that is neither")
+            raise InputError(f"found {what} not finite or negative")
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,6 +149,5 @@ def _check_reach(variant: Variant, read: Array, names: Sequence[str]) -> None:
     for row, k in np.argwhere(beyond)[:1]:
         channel, (low, high) = model.channels[place := model.select(model.commanded)[k]], model.command_range[k]
         raise InputError(
-            f"{names[row]}: found {channel.name} at {read[row, place]:.6g} {channel.unit}, expected it within the "
-            f"actuators' range, {low:g} to {high:g}"
+            f"{names[row]}: found {channel.name} at {read[row, place]:.6g} {channel.unit}, expected {low:g} to {high:g}"
         )

@@ -109,9 +109,9 @@ class PosteriorLevel:
 def audit_posterior(inputs: DesignVariant, draws: Draws | None, audit: AuditOutcome) -> PosteriorLevel | str:
     """Return what draws of measured data's posterior say, or why there are none."""
     if not isinstance(inputs.maker, MeasuredMachine):
-        return "nothing has been measured: an audit with [data] draws the posterior of a study"
+        return "nothing measured: use [data]"
     if draws is None:
-        return "the design wants no draws: draws is 0 in [posterior]"
+        return "draws is 0 in [posterior]"
     angle = compare_spaces(audit.analysis.information, draws.values / inputs.sd)
     rng = np.random.default_rng([inputs.config.seed, SEED + 1])
     # draws of the geometry alone, whose errors functions take back in part
@@ -178,7 +178,7 @@ def judge_draws(inputs: DesignVariant, draws: Draws, rng: np.random.Generator) -
     by_mean = remaining.follow(np.array(true)).transpose(2, 0, 1)
     possible = np.isfinite(by_mean).all(axis=(1, 2))
     if not possible.any():
-        raise InputError("workspace: found poses that the posterior's machines cannot take, expected none")
+        raise InputError("workspace: found poses that posterior draws cannot take")
     by_mean = by_mean[possible]
     errors = {"probability": by_mean - by_mean.mean(axis=0), "probability_of_mean_machine": by_mean}
     root = np.swapaxes(root_of(forecast.noise), -1, -2)

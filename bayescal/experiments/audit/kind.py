@@ -87,4 +87,4 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
     def list_failures(self, results: Results) -> list[str]:
         """Return why a posterior did not converge."""
         posterior = results.summary.get("posterior")
-        return [] if posterior is None or posterior["converged"] else ["the posterior did not converge"]
+        return [] if posterior is None or posterior["converged"] else ["posterior not converged"]

@@ -89,7 +89,7 @@ class PlannedMachine:
         own = {channel: one.name for one in self.sensors.values() for channel in (*one.channels, f"{one.name}_r")}
         for name in names:
             if name in own:
-                raise InputError(f"sensor {name!r}: found a part of {own[name]!r}, expected {own[name]!r} as a whole")
+                raise InputError(f"sensor {name!r}: found part of {own[name]!r}, expected all")
         return [
             channel for name in names for channel in (self.sensors[name].channels if name in self.sensors else [name])
         ]
@@ -134,8 +134,7 @@ class PlannedMachine:
         values = read[:, chosen]
         for k, channel in np.argwhere(~np.isfinite(values))[:1]:
             raise InputError(
-                f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a pose at which the "
-                "machine as expected stands"
+                f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a reachable pose"
             )
         variant = replace(variant, data=self._add_noise(replace(variant.data, values=values), chosen, read))
         check_told(variant.plain(), planned.pose, self.workspace)
@@ -161,7 +160,7 @@ class PlannedMachine:
             sd[:, places] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
             correlation[:, places[:, None], places] = covariance / (sd[:, places, None] * sd[:, None, places])
         for k in np.flatnonzero(~np.isfinite(sd[0]))[:1]:
-            raise InputError(f"sensors: found {names[k]} without noise, expected an entry in [sensors]")
+            raise InputError(f"sensors: found no noise of {names[k]}, expected it in [sensors]")
         alone = np.array_equal(correlation, np.broadcast_to(np.eye(len(names)), correlation.shape))
         return replace(data, sd=sd, correlation=None if alone else correlation)
 
@@ -188,9 +187,7 @@ def plan_random(
         return PlannedPoses(count_poses(section.count), pose, dict(given))
     limits = model.command_range
     if not len(limits) or not np.isfinite(limits).all():
-        raise InputError(
-            f"poses.sampling: found {section.sampling!r}, but no range of the actuators, expected 'workspace'"
-        )
+        raise InputError(f"poses.sampling: found {section.sampling!r} without an actuator range, expected 'workspace'")
     half = 0.5 * (limits[:, 1] - limits[:, 0]) if section.range_mm is None else section.range_mm
     rng = np.random.default_rng([seed, 1])
     shape = section.count, len(limits)
@@ -204,8 +201,5 @@ def locate(model: ReadingModel, theta: Array, middle: Array, moves: Array, given
     names = count_poses(len(moves))
     for k in np.flatnonzero(~found)[:1]:
         moved = ", ".join(f"{one:g}" for one in moves[k])
-        raise InputError(
-            f"poses: pose {names[k]!r}: found no pose at displacements {moved} of the actuators, expected one the "
-            "machine can take"
-        )
+        raise InputError(f"poses: pose {names[k]!r}: found no pose at displacements {moved}")
     return PlannedPoses(names, pose, dict(given))

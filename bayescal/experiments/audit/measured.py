@@ -82,7 +82,7 @@ class MeasuredMachine:
     def plan(self, section: PlannedPosesConfig, factor: float = 1.0) -> PlannedPoses:
         """Return random poses of a workspace so many times as wide, or of the actuators; InputError for a file."""
         if section.count is None:
-            raise InputError("poses: found a file beside [data], expected a count")
+            raise InputError("poses: found a file with [data], expected a count")
         posterior, seed = self.found.posterior, self.config.seed
         given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.first_machine
         workspace, rng = self.workspace.widen(factor), np.random.default_rng([seed, 8])
@@ -91,7 +91,7 @@ class MeasuredMachine:
     def build(self, section: AuditVariantConfig, planned: PlannedPoses) -> Variant:
         """Return the variant at poses, of others than those measured seen as well as these on average."""
         if section.sensors is not None:
-            raise InputError("sensors: found them beside [data], expected those of the study")
+            raise InputError("sensors: found them with [data], expected none")
         posterior, model = self.found.posterior, self.model
         data = posterior.likelihood.data
         if planned.rows is not None:
@@ -121,7 +121,7 @@ class MeasuredMachine:
         )
         values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():
-            raise InputError("poses: found one that the machine cannot take, expected none")
+            raise InputError("poses: found unreachable ones")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
@@ -165,12 +165,12 @@ def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
         raise InputError(f"{where}: variants: found no {named!r}, expected {', '.join(map(repr, names))}")
     if len(chosen) > 1:
         listed = ", ".join(map(repr, names))
-        raise InputError(f"{where}: variants: found {listed}, expected data.variant with one of these names")
+        raise InputError(f"{where}: variants: found {listed}, expected data.variant")
     (found,) = measure_variants(experiment, study, where, chosen, config.data.with_model_error).values()
     found = found.count_by_row()
     posterior = found.posterior
     if posterior.errors.outliers.expected:
-        raise InputError(f"{where}: found outlier_fraction, expected none: audits have no poses that may be spoilt")
+        raise InputError(f"{where}: found outlier_fraction, expected none in an audit")
     model_of, scale = posterior.likelihood.model, posterior.likelihood.model.pose_scale
     workspace = (
         build_workspace(model_of, config.workspace, config.units)

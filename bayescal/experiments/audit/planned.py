@@ -312,12 +312,15 @@ class DesignVariant:
         config, n, changes = self.config, self.n_poses, list[ScenarioConfig]()
         limits = self.variant.model.command_range
         if len(limits) and np.isfinite(limits).all() and config.data is None:
-            for plan, words in (("extremes", "at the ends of the range"), ("uniform", "spread evenly over the range")):
+            for plan, words in (
+                ("extremes", "at the ends of the range"),
+                ("uniform", "spread evenly over the range"),
+            ):
                 if config.poses.sampling != plan:
                     poses = PlannedPosesConfig.model_validate({"sampling": plan, "count": n})
                     changes.append(ScenarioConfig(name=f"{n} poses {words}", poses=poses))
         if self.sizes:
-            changes.append(ScenarioConfig(name="no error that is a function of the pose", model_error=False))
+            changes.append(ScenarioConfig(name="no systematic error", model_error=False))
         used = list(config.sensors) if self.section.sensors is None else self.section.sensors
         beside = {part for one in self.variant.model.channels if one.external for part in (one.name, one.kind)}
         own = [name for name in used if name not in beside]
@@ -410,7 +413,7 @@ class DesignVariant:
                     break
                 y[k], redrawn = rng.standard_normal(len(self.names)), redrawn + 1
             else:
-                raise InputError("tolerances: found machines that do not reach planned poses, expected smaller ones")
+                raise InputError("tolerances: found machines that miss planned poses, expected smaller ones")
         white, _ = posterior.likelihood.explain(*posterior.at(self.expected[None]))
         noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
         return y, Comparison(model.channels).add(values, noise), redrawn

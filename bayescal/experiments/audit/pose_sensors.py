@@ -42,8 +42,9 @@ class PlannedPoseSensor:
         values = np.linalg.eigvalsh(information / scale[:, :, None] / scale[:, None, :])  # mm and rad made comparable
         for k in np.flatnonzero(values[:, 0] < BLIND * values[:, -1])[:1]:
             raise InputError(
-                f"sensors.{self.name}: found information that does not determine {', '.join(self.channels)} at pose "
-                f"{names[k]!r}, expected it of whole coordinates, or an instrument by its channels, [instruments]"
+                f"sensors.{self.name}: found information that does not determine "
+                f"{', '.join(self.channels)} at pose {names[k]!r}, expected whole coordinates, or "
+                "[instruments]"
             )
         return np.asarray(np.linalg.inv(information))
 
@@ -64,7 +65,7 @@ def find_channels(sensors: Mapping[str, Sensor], model: ReadingModel) -> dict[st
         information = sensor.information(tool[:, :3], matrix_from_rotation_vector(tool[:, 3:]))
         seen = np.diagonal(information[0]) > 0.0
         if not seen.any():
-            raise InputError(f"sensors.{name}: found no information on any coordinate, expected some")
+            raise InputError(f"sensors.{name}: found no information on coordinates")
         assert len(places) == DEGREES_OF_FREEDOM
         found[name] = PlannedPoseSensor(name, sensor, tuple(model.names[k] for k in places[seen]), seen)
     return found

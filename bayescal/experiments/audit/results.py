@@ -85,7 +85,7 @@ def summarise(audit: AuditOutcome) -> dict[str, Any]:
 def _summarise_plan(inputs: DesignVariant) -> dict[str, Any]:
     """Return machine and plan; how large systematic errors are, and what is stated of unseen ones, and their unit."""
     config, section, model = inputs.config, inputs.section, inputs.variant.model
-    said = {"workspace": "random ones of the workspace", "file": config.poses.file or config.poses.configurations or ""}
+    said = {"workspace": "random poses", "file": config.poses.file or config.poses.configurations or ""}
     errors = {"systematic": inputs.sizes, "floor": inputs.floors if inputs.sizes else {}}
     factor, unit = choose_size_unit(model)
     plan = {
@@ -187,7 +187,7 @@ def explain(audit: AuditOutcome, k: int) -> str:
     ridges = [ridge.direction for ridge in audit.ridges]
     weights = [float(d.vector[k] ** 2 * (1.0 - d.contraction)) for d in ridges]
     if not ridges or max(weights) == 0.0:
-        return f"{shrunk}: the measurements are too few or too coarse."
+        return f"{shrunk}: too few or too coarse measurements."
     direction = ridges[int(np.argmax(weights))]
     partners = [names[i] for i in np.argsort(-np.abs(direction.vector)) if i != k]
     shares = {names[i]: float(direction.vector[i] ** 2) for i in range(len(names))}

@@ -98,13 +98,13 @@ class PlannedPosesConfig(Section):
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
         if self.sampling == "file" and (files != 1 or self.count is not None):
-            raise ValueError("found both or none of count, file and configurations, expected one of them")
+            raise ValueError("expected one of count, file and configurations")
         if self.sampling != "file" and (files or self.count is None):
-            raise ValueError(f"expected count, and no file, of sampling {self.sampling!r}")
+            raise ValueError(f"expected count, no file, for sampling {self.sampling!r}")
         if self.unit_mm != 1.0 and self.configurations is None:
-            raise ValueError("unit_mm: found it without configurations, expected none")
+            raise ValueError("unit_mm: expected configurations with it")
         if self.range_mm is not None and self.sampling not in ("uniform", "extremes"):
-            raise ValueError("range_mm: found it, expected it of sampling 'uniform' and 'extremes' alone")
+            raise ValueError("range_mm: expected sampling 'uniform' or 'extremes' with it")
         return self
 
 
@@ -143,7 +143,7 @@ class AuditSelectionConfig(Section):
     @model_validator(mode="after")
     def _check_enough(self) -> Self:
         if self.candidates < self.count:
-            raise ValueError(f"found {self.candidates} candidates for {self.count} poses, expected at least as many")
+            raise ValueError(f"found {self.candidates} candidates, expected at least {self.count}")
         return self
 
 
@@ -212,7 +212,7 @@ class ExpectedErrorConfig(ModelErrorConfig):
     @model_validator(mode="after")
     def _check_expected(self) -> Self:
         if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
-            raise ValueError(f"expected_um: found {sorted(strange)}, expected some of the terms {self.terms}")
+            raise ValueError(f"expected_um: found {sorted(strange)}, expected some of {self.terms}")
         self.check_floors(self.terms)
         return self
 
@@ -342,7 +342,7 @@ class AuditConfig(ExperimentConfig):
         if not isinstance(content, dict) or content.get("data") is None:
             return content
         if content.get("model_error", _ALONE) != _ALONE:
-            raise ValueError(f"model_error: found it beside [data], expected none, or terms = {ALONE}")
+            raise ValueError(f"model_error: found it with [data], expected none, or terms = {ALONE}")
         return content | {"model_error": _ALONE}
 
     @model_validator(mode="before")
@@ -352,7 +352,7 @@ class AuditConfig(ExperimentConfig):
         if not isinstance(content, dict) or not isinstance(noise := content.get("noise"), dict):
             return content
         if "actuator_um" not in noise:
-            raise ValueError("noise: found no actuator_um, expected it, or [sensors] with the noise of each channel")
+            raise ValueError("noise: expected actuator_um, or [sensors]")
         if strange := set(noise) - {"actuator_um"}:
             raise ValueError(f"noise: found {', '.join(sorted(strange))}, expected [model_error] with expected_um")
         sensors = {ACTUATORS: {"noise_um": noise["actuator_um"]}, **content.get("sensors", {})}
@@ -368,10 +368,10 @@ class AuditConfig(ExperimentConfig):
         names = [one.name for one in self.variants]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"variants: found {name!r} twice, expected each name once")
+                raise ValueError(f"variants: found {name!r} twice, expected unique names")
         for name, (low, high) in self.workspace.items() if isinstance(self.workspace, dict) else ():
             if not low < high:
-                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller number first")
+                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller first")
         return self
 
     @model_validator(mode="after")
@@ -379,24 +379,24 @@ class AuditConfig(ExperimentConfig):
         if self.data is not None:
             for field in OF_PLANS:
                 if self._states(field):
-                    raise ValueError(f"found {field} beside [data], expected none, since the study has its own")
+                    raise ValueError(f"found {field} with [data], expected none")
             self._check_data()
         else:
             for field in ("machine", "sensors", "parameters"):
                 if not getattr(self, field):
-                    raise ValueError(f"found no {field}, expected it, or [data] with a study of measured poses")
+                    raise ValueError(f"found no {field}, expected it, or [data]")
             if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
-                raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
+                raise ValueError("found no tolerance, expected a normal or uniform prior")
             deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
             if deforms and all(one.model is None for one in self.variants):
-                raise ValueError("deformation: found it without a model in [[variants]], expected none")
+                raise ValueError("deformation: expected a model in [[variants]] with it")
         if self.data is None and self._states("posterior"):
-            raise ValueError("posterior: found it without [data], expected none, since nothing has been measured")
+            raise ValueError("posterior: expected [data] with it")
         if self.conditions and self.poses.file is not None:
-            raise ValueError("conditions: found bounds beside poses.file, expected none, since the file states them")
+            raise ValueError("conditions: found with poses.file, expected either")
         for change in self.scenarios:
             if not change.model_error and self.data is None and self.model_error.terms in ([], ALONE):
-                raise ValueError(f"scenario {change.name!r}: model_error: found none to leave out, expected no key")
+                raise ValueError(f"scenario {change.name!r}: model_error: found none to leave out")
         return self
 
     def _states(self, name: str) -> bool:
@@ -405,13 +405,13 @@ class AuditConfig(ExperimentConfig):
 
     def _check_data(self) -> None:
         if len(self.variants) > 1:
-            raise ValueError("variants: found several beside [data], expected one of the study's")
+            raise ValueError("variants: found several with [data], expected one")
         for name in ("free", "fixed", "tied", "sensors"):
             if getattr(self.variants[0], name):
-                raise ValueError(f"variants.{name}: found it beside [data], expected none, since the study has its own")
+                raise ValueError(f"variants.{name}: found with [data], expected none")
         for change in self.scenarios:
             if change.sensors is not None:
-                raise ValueError(f"scenario {change.name!r}: sensors: found them beside [data], expected none")
+                raise ValueError(f"scenario {change.name!r}: sensors: found with [data], expected none")
 
 
 def _add_actuators(section: Any) -> Any:

@@ -74,13 +74,13 @@ def list_choices(
     taken = [model.names[k] for k in model.select(spread(always))] + [name for one in found for name in one.channels]
     for name in taken:
         if taken.count(name) > 1:
-            raise InputError(f"found {name} twice in candidates and required_sensors, expected each sensor once")
+            raise InputError(f"found {name} twice in candidates and required_sensors")
     if not costs:
         return tuple(found)
     named = [one.name if one.name in costs else one.name.partition("[")[0] for one in found]
     for name in named:
         if name not in costs:
-            raise InputError(f"costs: found none of {name}, expected one of each candidate, or of its kind")
+            raise InputError(f"costs: found none of {name}, expected one per candidate or kind")
     for name in costs:
         if name not in named:
             raise InputError(f"costs: found {name!r}, expected some of {', '.join(dict.fromkeys(named))}")

@@ -35,7 +35,7 @@ def show_audit(results: Results, page: Page, console: Console) -> None:
     audit, written = AuditResults.of(results), {symbol: write_symbol(symbol) for symbol in page.symbols}
     width = min(MOST_WIDTH if console.is_terminal else FILE_WIDTH, console.width)
     lines: list[RenderableType] = [page.title]
-    lines += [f"DO NOT RELY ON THIS: {failure.text}" for failure in page.failures]
+    lines += [f"DO NOT USE: {failure.text}" for failure in page.failures]
     lines.append(page.headline)
     seen, folded = choose_first(page)
     for statement in seen:
@@ -94,7 +94,7 @@ def _tabulate_sets(audit: AuditResults) -> list[Printed]:
     columns = (
         TerminalColumn("free", justify="left"),
         TerminalColumn("parameters", 1),
-        TerminalColumn("true error / claimed sd, rms"),
+        TerminalColumn("RMSE / predicted sd"),
         TerminalColumn("90 % coverage"),
         TerminalColumn("simulated", 2),
     )

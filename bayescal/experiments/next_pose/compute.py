@@ -197,7 +197,7 @@ def _summarise(
         "method": belief.way,
         "efficiency": belief.efficiency,
         "pareto_k": belief.pareto_k,
-        "remaining_error": "the noise of the machine's own sensors stays",  # with all parameters known
+        "remaining_error": "noise of own sensors stays",  # with all parameters known
         "next_candidate": first.candidate + 1,
         "next_pose": state.describe_pose(first.candidate),
         "columns": [asdict(one) for one in state.subject.list_shown()],
@@ -383,7 +383,7 @@ class State:
         first = [pair for pair in first if pair[0].group == shown[0].group]
         if self.subject.candidates.commanded:
             moves = ", ".join(value for _, value in first)
-            return f"Displace the actuators from their initial positions by {moves} mm."
+            return f"Displace the actuators by {moves} mm."
         return f"Go to {', '.join(f'{one.heading} = {value} {one.unit}' for one, value in first)}."
 
 

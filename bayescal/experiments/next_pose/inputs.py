@@ -79,15 +79,12 @@ def read_next_pose(config: NextPoseConfig, folder: Path) -> NextPoseInputs:
     path = folder / config.study
     found = measure_variants(*load(path), path, config.variants, config.with_model_error)
     if config.goal == "variants" and len(found) < 2:
-        raise InputError(
-            f"{path}: found one variant and no requirements, expected --require NAME=VALUE or [requirements], "
-            "or two variants to distinguish"
-        )
+        raise InputError(f"{path}: expected --require NAME=VALUE, [requirements], or two variants")
     first = next(iter(found.values()))
     there = first.posterior.likelihood.data.n_poses
     n = there if config.n_first_poses is None else config.n_first_poses
     if n > there:
-        raise InputError(f"n_first_poses: found {n}, expected at most {there}, the calibration poses of {config.study}")
+        raise InputError(f"n_first_poses: found {n}, expected at most {there}")
     legs = as_legs(first.posterior.likelihood.model)
     if legs is None:
         _check_same_readings(found)
@@ -133,9 +130,7 @@ def _place_legs(config: NextPoseConfig, folder: Path, measured: MeasuredReadings
     """Return the poses of workspace and candidates of a study's machine, by its actuators."""
     section, posterior = config.workspace, measured.posterior
     if isinstance(section, dict):
-        raise InputError(
-            f"workspace: found {', '.join(section)} of a machine on legs, expected position_mm and rotation_deg"
-        )
+        raise InputError(f"workspace: found {', '.join(section)}, expected position_mm and rotation_deg for legs")
     priors = {name: one for name, one in posterior.priors.items() if name in legs.machine.layout.names}
     mechanism, nominal = legs.machine.mechanism, legs.layout.nominal
     fixed = {name: one for name, one in posterior.fixed.items() if name in legs.machine.layout.names}
@@ -169,8 +164,8 @@ def read_candidates(config: NextPoseConfig, folder: Path, design: Design, volume
         half = None if volume is None else volume.half
         if half is None or section.configurations is not None or section.range_mm is not None:
             raise InputError(
-                f"candidates: found {mechanism.n_legs} legs, which do not close anywhere, expected position_mm and "
-                "rotation_deg there, or [workspace] and neither configurations nor range_mm"
+                f"candidates: found {mechanism.n_legs} legs, expected position_mm and rotation_deg, "
+                "or [workspace] alone"
             )
     if half is not None:
         return factorial_candidates(WorkspaceBox(design, half), section.count, rng)
@@ -181,10 +176,7 @@ def read_candidates(config: NextPoseConfig, folder: Path, design: Design, volume
         return candidates_at_actuators(domain, mechanism.initial_actuator_positions + moves)
     reach = mechanism.actuator_range if section.range_mm is None else section.range_mm
     if reach > mechanism.actuator_range:
-        raise InputError(
-            f"candidates.range_mm: found {reach:g}, expected at most the actuator range of "
-            f"{mechanism.actuator_range:g} mm"
-        )
+        raise InputError(f"candidates.range_mm: found {reach:g}, expected at most {mechanism.actuator_range:g}")
     whole = factorial_candidates(domain, section.count, rng)
     return candidates_at(domain, whole.shares * reach / mechanism.actuator_range)
 
@@ -201,8 +193,8 @@ def _check_same_readings(found: Mapping[str, MeasuredReadings]) -> None:
         same = theirs.model.names == first.posterior.likelihood.model.names and theirs.data.poses == data.poses
         if not same or not np.array_equal(theirs.data.present, data.present):
             raise InputError(
-                f"variants: found other readings in {other!r} than in {name!r}, whose evidences then do not compare, "
-                "expected such that take in the same, listed in variants = [...]"
+                f"variants: found different readings in {other!r} and {name!r}, expected the same; "
+                "choose variants = [...]"
             )
 
 
@@ -211,10 +203,7 @@ def _check_redundant(measured: MeasuredReadings) -> None:
     likelihood = measured.posterior.likelihood
     read, q = likelihood.data.present.any(axis=0), len(likelihood.model.coordinates)
     if read.sum() <= q:
-        raise InputError(
-            f"variants: found {read.sum()} channels that are read and {q} unknown coordinates of each pose, which take "
-            "all that is read: no pose says anything of the parameters; expected more channels"
-        )
+        raise InputError(f"variants: found {read.sum()} channels for {q} pose coordinates, expected more")
 
 
 def _check_located(measured: MeasuredReadings, workspace: Array) -> None:
@@ -229,9 +218,8 @@ def _check_located(measured: MeasuredReadings, workspace: Array) -> None:
         names = posterior.likelihood.model.names
         own = ", ".join(name for name, internal in zip(names, measured.internal, strict=True) if internal)
         raise InputError(
-            f"requirements: found that the machine's own sensors ({own or 'none'}) do not determine its pose at "
-            f"{lost.sum()} of {len(lost)} poses of the workspace, so that its error there has no bound; expected own "
-            "sensors that do"
+            f"requirements: found own sensors ({own or 'none'}) that do not determine {lost.sum()} of "
+            f"{len(lost)} workspace poses, expected more sensors"
         )
 
 
@@ -243,7 +231,7 @@ def _read_bounds(config: NextPoseConfig, measured: MeasuredReadings) -> tuple[Ar
     names = [one.name for one in coordinates]
     if isinstance(section, WorkspaceConfig):
         raise InputError(
-            f"workspace: found position_mm of a machine that is no hexapod, expected bounds of {', '.join(names)}, "
+            f"workspace: found position_mm without a hexapod, expected bounds of {', '.join(names)}, "
             f"such as {names[0]} = [-1.0, 1.0]"
         )
     for name, bounds in (section or {}).items():
@@ -251,9 +239,7 @@ def _read_bounds(config: NextPoseConfig, measured: MeasuredReadings) -> tuple[Ar
             raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
         k = names.index(name)
         if not bounds[0] < bounds[1]:
-            raise InputError(
-                f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller number first"
-            )
+            raise InputError(f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller first")
         low[k], high[k] = (units.factor(coordinates[k].unit) * one for one in bounds)
     return low, high
 
@@ -268,7 +254,7 @@ def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) ->
         found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
         if len(found) >= n:
             return found[:n]
-    raise InputError("workspace: found almost no pose that the machine can take, expected a smaller workspace")
+    raise InputError("workspace: found few reachable poses, expected a smaller workspace")
 
 
 def _list_candidates(
@@ -278,7 +264,7 @@ def _list_candidates(
     likelihood = measured.posterior.likelihood
     for name in ("unit_mm", "range_mm", "position_mm", "rotation_deg"):
         if name in section.model_fields_set:
-            raise InputError(f"candidates.{name}: found it of a machine without legs, expected count or configurations")
+            raise InputError(f"candidates.{name}: found without legs, expected count or configurations")
     if section.configurations is not None:
         model = likelihood.model
         expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]

@@ -64,7 +64,7 @@ def configure_next_pose(path: Path, variants: list[str], required: list[str], se
     if isinstance(found, NextPoseConfig):
         for option, given in (("--variant", variants), ("--require", required)):
             if given:
-                raise InputError(f"{option}: found beside {path}, which asks a question itself, expected a study")
+                raise InputError(f"{option}: found with {path}, expected a study")
         return found if seed is None else found.model_copy(update={"seed": seed})
     limits = {}
     for one in required:
@@ -72,7 +72,7 @@ def configure_next_pose(path: Path, variants: list[str], required: list[str], se
         try:
             limits[name.strip()] = float(value)
         except ValueError as error:
-            raise InputError(f"--require: found {one!r}, expected NAME=VALUE such as x=0.05") from error
+            raise InputError(f"--require: found {one!r}, expected NAME=VALUE") from error
     content = {
         "study": path.name,
         "name": f"{found.name}_next_pose",

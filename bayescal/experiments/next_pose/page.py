@@ -64,7 +64,7 @@ def build_page(results: Results) -> Page:
             ("Study", summary["study"]),
             ("Variant", summary["variant"]),
             ("Poses measured", str(summary["n_poses"])),
-            ("Poses to choose from", str(summary["n_candidates"])),
+            ("Candidates", str(summary["n_candidates"])),
         ),
         unreliable=summary["decision"] != "stop" or "suspected_data_error" in summary,
     )
@@ -103,8 +103,8 @@ def _list_key_figures(results: Results) -> list[KeyFigure]:
         found.append(KeyFigure(name, error, row.unit, "good" if row.error <= row.limit else "bad"))
         now, then = (say_probability(required[key], 1) for key in ("probability", "probability_after_next"))
         enough = required["probability"] >= summary["stated_probability"]
-        found.append(KeyFigure("P of requirements now", now, "", "good" if enough else "warning"))
-        found.append(KeyFigure("after the next pose", then))
+        found.append(KeyFigure("P now", now, "", "good" if enough else "warning"))
+        found.append(KeyFigure("next", then))
     else:
         sure = summary["variant_probability"]
         level = "good" if sure >= summary["stated_probability"] else "warning"
@@ -149,10 +149,10 @@ def _state_gain(results: Results) -> list[Statement]:
     summary, row = results.summary, _find_tightest(results)
     now, then = format_significant(row.error, 4), format_significant(row.error_after_next, 4)
     wanted, limit = format_percent(summary["stated_probability"]), format_significant(row.limit)
-    text = f"Maximum {_name(row.requirement)} error ({wanted}): {now} {row.unit}, {then} after the next pose; limit "
+    text = f"Maximum {_name(row.requirement)} error ({wanted}): {now} {row.unit}, next {then}; limit "
     text += f"{limit}."
     gain = 100.0 * (1.0 - summary["mean_error_after_next"] / summary["mean_error"])
-    fall = f"The mean error by unknown geometry falls by {format_fixed(gain, 1)} %."
+    fall = f"Mean geometry error: −{format_fixed(gain, 1)} %."
     lead = "Expected gain"
     return [
         Statement(text, "plain", lead, value=row.error, limit=row.limit, unit=row.unit),
@@ -169,19 +169,19 @@ def _state_needed(summary: dict[str, Any]) -> Statement:
     about = f"about {_count(needed)}" if needed is not None else f"more than {_count(summary['horizon'])}"
     if standing["target_probability"] == wanted:
         return Statement(f"{capitalise(about)} to the target of {format_percent(wanted)}.", "plain", lead, value=n)
-    text = f"Noise and model errors decide whether the target is reached; after {about} geometry hardly matters."
+    text = f"After {about} noise and model error decide."
     return Statement(text, "warning", lead, value=n)
 
 
 def _state_best(summary: dict[str, Any]) -> Statement:
     best, wanted = summary["requirements"]["probability_parameters_known"], summary["stated_probability"]
-    repeated, lead = summary["requirements"]["probability_all_candidates"], "What can be reached"
+    repeated, lead = summary["requirements"]["probability_all_candidates"], "Reachable"
     level: Level = "bad" if summary["decision"] == "infeasible" else "warning"
     if repeated < min(best, wanted):
-        text = f"With unlimited measurements at all candidates P = {say_probability(repeated, 1)}."
-        action = "Add another channel, instrument, candidates or closer tolerances."
+        text = f"Unlimited measurements: P = {say_probability(repeated, 1)}."
+        action = "Add a channel, candidates or closer tolerances."
         return Statement(text, level, lead, value=repeated, limit=wanted, action=action)
-    text = f"With all parameters known exactly P = {say_probability(best, 1)}."
+    text = f"All parameters known: P = {say_probability(best, 1)}."
     if best >= wanted:
         return Statement(text, "good", lead, value=best, limit=wanted)
     action = f"{capitalise(summary['remaining_error'])}."
@@ -191,7 +191,7 @@ def _state_best(summary: dict[str, Any]) -> Statement:
 def _state_soundness(summary: dict[str, Any]) -> Statement:
     k, lead = summary["pareto_k"], "Numerical checks"
     if summary["method"] == "sampled":
-        text = f"Importance sampling unreliable (Pareto k {format_fixed(k, 2)}); MCMC draws are used."
+        text = f"Pareto k {format_fixed(k, 2)}: MCMC draws used."
         return Statement(text, "warning", lead, value=k, limit=PARETO_K_LIMIT)
     text = f"ESS fraction {format_percent(summary['efficiency'])}, Pareto k {format_fixed(k, 2)}."
     return Statement(text, "good", lead, value=k, limit=PARETO_K_LIMIT)
@@ -219,9 +219,9 @@ def _show_poses(results: Results) -> Table:
         ]
         for row in poses
     ]
-    caption = "Poses to measure, in their order; only the first is final."
+    caption = "Poses; only the first is final."
     if len(poses) == 1:
-        caption = "The pose at which the predictions of the variants differ most."
+        caption = "Largest predicted difference."
     return make_table(caption, columns, rows, style="wide")
 
 
@@ -232,11 +232,11 @@ def _tabulate_requirements(results: Results) -> Table:
         Column("Requirement", kind="name"),
         Column("Unit", kind="text"),
         Column("Limit"),
-        Column("now", "", f"Error that no pose exceeds with {wanted}"),
-        Column("after the next pose", "", f"Error that no pose exceeds with {wanted}"),
-        Column("parameters known", "", f"Error that no pose exceeds with {wanted}"),
+        Column("now", "", f"Error ({wanted})"),
+        Column("next", "", f"Error ({wanted})"),
+        Column("parameters known", "", f"Error ({wanted})"),
         Column("now", "", "Probability to meet it"),
-        Column("after the next pose", "", "Probability to meet it"),
+        Column("next", "", "Probability to meet it"),
     ]
     rows: list[list[str | Cell]] = []
     for row in RequirementForecastRow.read(results.table("requirements")):
@@ -251,15 +251,15 @@ def _tabulate_requirements(results: Results) -> Table:
                 *(format_percent(one, 1) for one in (row.probability, row.probability_after_next)),
             ]
         )
-    caption = f"Largest errors over {summary['n_workspace']} poses of the workspace, by {summary['n_draws']} draws."
+    caption = f"Largest errors over {summary['n_workspace']} workspace poses, {summary['n_draws']} draws."
     return make_table(caption, columns, rows)
 
 
 def _plot_history(results: Results) -> Figure:
     wanted = format_percent(results.summary["stated_probability"])
     caption = (
-        "Left: probability that all requirements hold (open, dashed: expected; grey: target). Right: error kept with "
-        f"{wanted} over its limit. Crosses: unreliable (Pareto k > {PARETO_K_LIMIT})."
+        f"Left: P(all requirements); dashed: expected. Right: error ({wanted}) / limit. Crosses: "
+        f"Pareto k > {PARETO_K_LIMIT}."
     )
     history, stated = results.table("history"), results.summary["stated_probability"]
     return Figure("course", caption, partial(draw_history, history, stated))
@@ -271,13 +271,13 @@ def draw_history(history: pd.DataFrame, stated: float) -> mpl.Figure:
     left, right = figure.subplots(1, 2)
     _draw_line(left, history, "probability", INK, "o", "all requirements")
     left.axhline(stated, color=GREY, linewidth=0.8)
-    left.set(ylabel="Probability that the requirements hold", ylim=(-0.02, 1.02))
+    left.set(ylabel="P(all requirements met)", ylim=(-0.02, 1.02))
     names = [name for name in history.columns if name.endswith(OVER_LIMIT)]
     for k, name in enumerate(names):
         colour = LEG_COLOURS[k % len(LEG_COLOURS)]
         _draw_line(right, history, name, colour, MARKERS[k % len(MARKERS)], _name(name.removesuffix(OVER_LIMIT)))
     right.axhline(1.0, color=GREY, linewidth=0.8)
-    right.set(ylabel="Error, share of the limit", ylim=(0.0, None))
+    right.set(ylabel="Error / limit", ylim=(0.0, None))
     right.legend(ncols=2)
     for axes in (left, right):
         axes.set_xlabel("Poses")

@@ -35,11 +35,11 @@ class NextCandidatesConfig(Section):
     def _check_one(self) -> Self:
         told = self.model_fields_set & {"count", "range_mm", "position_mm", "rotation_deg"}
         if self.configurations is not None and told:
-            raise ValueError(f"found {' and '.join(sorted(told))} beside configurations, expected the table alone")
+            raise ValueError(f"found {' and '.join(sorted(told))} with configurations, expected either")
         if (self.position_mm is None) != (self.rotation_deg is None):
-            raise ValueError("found one of position_mm and rotation_deg, expected both or none")
+            raise ValueError("expected position_mm with rotation_deg, or neither")
         if self.position_mm is not None and self.range_mm is not None:
-            raise ValueError("found range_mm beside limits of the pose, expected one of them")
+            raise ValueError("found range_mm with pose limits, expected either")
         return self
 
     @property
@@ -90,5 +90,5 @@ class NextPoseConfig(OfAnotherConfig):
     @model_validator(mode="after")
     def _check_goal(self) -> Self:
         if self.goal == "requirements" and not self.requirements:
-            raise ValueError("found no [requirements], expected the largest errors allowed, or goal = 'variants'")
+            raise ValueError("found no [requirements], expected them, or goal = 'variants'")
         return self

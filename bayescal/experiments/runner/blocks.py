@@ -75,7 +75,7 @@ def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:
         for one in files:
             place, text = f"{CODE}/{one.relative_to(files[0].parent).as_posix()}", one.read_text("utf-8")
             if kept.setdefault(place, text) != text:
-                raise InputError(f"page_sections: found two files {one.name}, expected files of different names")
+                raise InputError(f"page_sections: found two files {one.name}, expected unique names")
     return kept
 
 

@@ -129,11 +129,9 @@ class Cluster(Engine):
         try:
             answer: Answer = pickle.loads(future.result())
         except (CancelledError, OSError) as error:
-            raise NumericalError(
-                f"the scheduler at {self.address} went away or dropped its tasks; go on with --resume"
-            ) from error
+            raise NumericalError(f"the scheduler at {self.address} was lost; continue with --resume") from error
         except KilledWorker as error:
-            said = f"{KILLED} {error.allowed_failures + 1} workers one after another, perhaps for want of memory"
+            said = f"{KILLED} {error.allowed_failures + 1} workers, perhaps for want of memory"
             return NumericalError, said
         except (ImportError, pickle.UnpicklingError) as error:
             return NumericalError, f"a worker lacks what it needs ({_one_line(error)})"
@@ -150,7 +148,7 @@ class Cluster(Engine):
             return seen
         if not self.client.nthreads():
             raise NumericalError(
-                f"all workers of {self.address} were killed, perhaps for want of memory; go on with --resume"
+                f"all workers of {self.address} were killed, perhaps for want of memory; continue with --resume"
             )
         return now
 
@@ -176,7 +174,7 @@ def connect(address: str, quiet: bool = True) -> Iterator[Cluster]:
     distributed = _import_distributed()
     local = LOCAL.fullmatch(address)
     if address.startswith("local") and not local:
-        raise InputError(f"{WANT}: found {address!r}, expected local:N with N workers, such as local:4")
+        raise InputError(f"{WANT}: found {address!r}, expected local:N, such as local:4")
     with _serve(distributed, int(local[1])) if local else _answer(distributed, address) as client:
         _check_versions(client, address)
         if not quiet and not client.nthreads():
@@ -194,9 +192,7 @@ def _import_distributed() -> Any:
             dask.config.set({"logging": {**dict.fromkeys(loggers, "critical"), **given}})
         import distributed
     except ImportError as error:
-        raise InputError(
-            f"{WANT}: found no dask.distributed ({_one_line(error)}), expected it: pip install 'bayescal[dask]'"
-        ) from error
+        raise InputError(f"{WANT}: no dask.distributed ({_one_line(error)}): pip install 'bayescal[dask]'") from error
     return distributed
 
 
@@ -225,20 +221,17 @@ def _answer(distributed: Any, address: str) -> Iterator[Any]:
     """Hold a connection to a scheduler that runs already."""
     where: dict[str, Any] = {"address": address}
     if address.startswith("tls:") and distributed.Security().tls_client_cert is None:
-        raise InputError(
-            f"{WANT}: found no certificate for {address} in dask's configuration, expected one of a client"
-        )
+        raise InputError(f"{WANT}: found no certificate for {address}, expected one in dask's configuration")
     if address.endswith(".json"):
         if not Path(address).is_file():
-            raise InputError(f"{WANT}: found no file {address}, expected the one that a scheduler writes")
+            raise InputError(f"{WANT}: found no file {address}, expected a scheduler's")
         where = {"scheduler_file": address}
     try:
         with unwarned():
             client = distributed.Client(**where, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError, KeyError, ImportError, RuntimeError) as error:
         raise InputError(
-            f"{WANT}: found no scheduler at {address} ({_one_line(error)}), expected one that answers within "
-            f"{TIMEOUT:.0f} s"
+            f"{WANT}: found no scheduler at {address} ({_one_line(error)}), expected one within {TIMEOUT:.0f} s"
         ) from error
     with client:
         yield client
@@ -253,7 +246,7 @@ def _check_versions(client: Any, address: str) -> None:
         raise InputError(f"{WANT}: the scheduler at {address} has {differ}")
     for worker, found in client.run(list_all_versions, on_error="return").items():
         if not isinstance(found, dict):
-            raise InputError(f"{WANT}: the worker at {worker} cannot say its versions ({_one_line(found)})")
+            raise InputError(f"{WANT}: worker {worker} tells no versions ({_one_line(found)})")
         if differ := _compare(found, here):
             raise InputError(f"{WANT}: the worker at {worker} has {differ}")
 

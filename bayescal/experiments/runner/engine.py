@@ -168,6 +168,6 @@ def run_quietly[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Re
     except InputError as error:
         return InputError, str(error)
     except MemoryError as error:
-        return NumericalError, f"found no memory for it ({error})" if str(error) else "found no memory for it"
+        return NumericalError, f"too little memory ({error})" if str(error) else "too little memory"
     except (NumericalError, ArithmeticError, ValueError) as error:  # SciPy and LAPACK raise the last two
         return NumericalError, str(error)

@@ -76,9 +76,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
         try:
             config: C = self.schema.model_validate(content)  # type: ignore[assignment]  # the kind's own schema
         except ValidationError as error:
-            raise InputError(
-                f"{results.folder}: found a config in its provenance that is none, expected one"
-            ) from error
+            raise InputError(f"{results.folder}: provenance: found no valid config") from error
         return config
 
     @abstractmethod

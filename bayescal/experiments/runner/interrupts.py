@@ -142,8 +142,7 @@ def _acquire(path: Path, out: Path) -> int:
             holder = os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
             os.close(descriptor)
             raise InputError(
-                f"{out}: another run (process {holder}) is under way there, expected none; wait for it or choose "
-                "another --out"
+                f"{out}: another run (process {holder}) is there; wait for it or choose another --out"
             ) from error
         with suppress(FileNotFoundError):
             if os.path.samestat(path.stat(), os.fstat(descriptor)):

@@ -19,18 +19,18 @@ from bayescal.experiments.runner.memory import check_tables
 type AnyExperiment = Experiment[Any, Any]
 
 TITLES = {
-    "KINDS": "Kinds of experiment",
-    "BLOCKS": "Blocks of pages",
-    "CLAIMS": "Claims of publications",
-    "MACHINES": "Machines of one function",
-    "INSTRUMENTS": "Instruments beside a machine",
+    "KINDS": "Experiments",
+    "BLOCKS": "Page blocks",
+    "CLAIMS": "Claims",
+    "MACHINES": "Machines",
+    "INSTRUMENTS": "Instruments",
     "MODELS": "Kinematic models",
-    "DEFORMATIONS": "Deformations of the platform",
-    "ERRORS": "Errors of readings",
-    "SAMPLERS": "Samplers of posteriors",
-    "SENSORS": "Sensors of an audit",
-    "CRITERIA": "Criteria of pose selection",
-    "METHODS": "Methods of pose selection",
+    "DEFORMATIONS": "Deformations",
+    "ERRORS": "Reading errors",
+    "SAMPLERS": "Samplers",
+    "SENSORS": "Audit sensors",
+    "CRITERIA": "Selection criteria",
+    "METHODS": "Selection methods",
 }
 
 
@@ -53,7 +53,7 @@ def load(path: Path) -> tuple[AnyExperiment, ExperimentConfig]:
     if not isinstance(kind, str):
         found, names = repr(kind), ", ".join(sorted(list_references("KINDS")))
         if "legs" in content and "platform" in content:
-            found = "none in a machine's file, which an experiment names as its mechanism"
+            found = "none in a mechanism's file"
         raise InputError(f"{path}: kind: found {found}, expected one of {names}")
     return check_content(content | {"kind": kind}, path, text)
 
@@ -95,7 +95,7 @@ def load_kind(path: Path, kind: str) -> Any:
     """Return the checked config of an experiment that must be of a kind."""
     config = load(path)[1]
     if config.kind != kind:
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}; bayescal run takes any kind")
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected {kind!r}; or use bayescal run")
     return config
 
 

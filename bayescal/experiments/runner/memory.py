@@ -87,7 +87,7 @@ def check_tables(files: Iterable[Path]) -> None:
     if not sizes:
         return
     largest = max(sizes, key=sizes.__getitem__)
-    what = f"{sum(sizes.values()) / 1e6:.0f} MB of files ({largest.name} is the largest)"
+    what = f"{sum(sizes.values()) / 1000000.0:.0f} MB of files ({largest.name} the largest)"
     check_memory(MemoryEstimate(shared=READING * sum(sizes.values()), sizes=what, remedy="shorter tables"), 0)
 
 

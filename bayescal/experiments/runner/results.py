@@ -162,7 +162,7 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
     provenance = read_json(folder / PROVENANCE_FILE)
     kinds = provenance.get(TABLES)
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
-        raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
+        raise InputError(f"{folder / PROVENANCE_FILE}: found no tables")
     empty = provenance.get(EMPTY_TABLES, {})
     lists = empty.values() if isinstance(empty, dict) else [None]
     if not all(isinstance(one, list) and all(isinstance(column, str) for column in one) for one in lists):
@@ -188,9 +188,9 @@ def _read_table(path: Path, kinds: Mapping[str, str]) -> pd.DataFrame:
     try:
         table = pd.read_csv(io.BytesIO(path.read_bytes()), dtype=str, keep_default_na=False)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file, expected a table of the results") from error
+        raise InputError(f"{path}: no such table") from error
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a table ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: not a table ({' '.join(str(error).split())})") from error
     if list(table.columns) != list(kinds):
         raise InputError(f"{path}: found columns {', '.join(table.columns)}, expected {', '.join(kinds)}")
     return pd.DataFrame({name: _read_column(path, table[name], kind) for name, kind in kinds.items()})

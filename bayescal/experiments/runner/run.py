@@ -53,7 +53,7 @@ from bayescal.report.pictures import Picture
 if TYPE_CHECKING:
     import pandas as pd
 
-FOUND_LATE = "which showed only when it was computed"
+FOUND_LATE = "detected during the run"
 """Said of what is at fault with inputs that passed the gate."""
 THE_PAGE = "the page"
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
@@ -317,7 +317,7 @@ def _build_page(experiment: AnyExperiment, folder: Path) -> Page:
 def _make_empty_page(results: Results) -> Page:
     """Return the page of results whose own page cannot be made."""
     name, kind = (str(results.provenance.get(key, "")) for key in ("name", "kind"))
-    said = "Its tables and its summary were written; its page could not be made."
+    said = "Tables and summary were written, no page."
     return Page(kind.capitalize(), name, str(results.provenance.get("title", name)), "", said, (), ())
 
 
@@ -389,9 +389,9 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         written = versions.get("bayescal") if isinstance(versions, dict) else None
         if written not in (None, here):
             raise InputError(
-                f"{folder}: found results of bayescal {written} ({what}), expected those of {here}: run it again"
+                f"{folder}: found results of bayescal {written} ({what}), expected {here}: run again"
             ) from error
-        raise InputError(f"{folder}: found damaged results ({what}), expected those of a finished run") from error
+        raise InputError(f"{folder}: found damaged results ({what})") from error
     return folder / PAGE
 
 
@@ -399,7 +399,7 @@ def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
     """Return the kind of a results directory; see `write_report`."""
     found = results.provenance.get("kind")
     if not isinstance(found, str):
-        raise InputError(f"{folder}: found no kind of experiment in its provenance, expected one")
+        raise InputError(f"{folder}: provenance: found no kind of experiment")
     if ":" not in found:
         return find_kind(found, folder, None)
     return find_kind(find_kept(folder, results, "KINDS", found), folder, folder / CODE)
@@ -411,10 +411,7 @@ def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyEx
     kinds = [one.provenance.get("kind") for one in results.values()]
     for folder, kind in zip(results, kinds, strict=True):
         if kind != kinds[0]:
-            raise InputError(
-                f"{folder}: found results of kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}: evidences "
-                "compare only of the same data, which tables of two kinds do not show"
-            )
+            raise InputError(f"{folder}: found kind {kind!r}, expected {kinds[0]!r} as in {folders[0]}")
     with trusting(trust):
         experiment = find_results_kind(folders[0], next(iter(results.values())))
     return experiment, experiment.compare(results)

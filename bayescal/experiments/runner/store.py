@@ -68,20 +68,17 @@ class Store:
         if not self.out.exists():
             return
         if os.path.ismount(self.out):
-            raise InputError(
-                f"{self.out}: is where a file system is mounted, expected a directory that can be replaced, such as "
-                f"{self.out / 'results'}"
-            )
+            raise InputError(f"{self.out}: found a mount point, expected a directory such as {self.out / 'results'}")
         provenance = self.out / PROVENANCE_FILE
         if not self.out.is_dir() or (not provenance.is_file() and any(self.out.iterdir())):
-            raise InputError(f"{self.out}: exists and holds no results, expected a new or a results directory")
+            raise InputError(f"{self.out}: holds no results, expected a new or a results directory")
         if provenance.is_file():
             known, wanted = read_json(provenance), hash_identity(identity)
             found, asked_again = known.get("config_sha256"), self.again and known.get("config") == identity["config"]
             if found != wanted and not asked_again:
                 raise InputError(
-                    f"{self.out}: holds results of another config (sha256 {str(found)[:12]}), expected those of "
-                    f"this one ({wanted[:12]}); choose another --out or remove it"
+                    f"{self.out}: holds results of another config (sha256 {str(found)[:12]}, expected "
+                    f"{wanted[:12]}); choose another --out or remove it"
                 )
 
     def check(self, identity: dict[str, Any], resume: bool) -> None:
@@ -89,7 +86,7 @@ class Store:
         self.check_results(identity)
         if resume:
             if not (self.partial / IDENTITY_FILE).is_file():
-                raise InputError(f"{self.partial}: found no interrupted run, expected one to resume")
+                raise InputError(f"{self.partial}: found no interrupted run")
             if changes := list_differences(read_json(self.partial / IDENTITY_FILE), identity):
                 raise InputError(f"{self.partial}: cannot resume, the config differs: {'; '.join(changes)}")
         self._check_partial()
@@ -127,10 +124,10 @@ class Store:
             return
         there = list(self.partial.iterdir()) if self.partial.is_dir() else [self.partial]
         if there and not any(path.name.removesuffix(".tmp") == IDENTITY_FILE for path in there):
-            raise InputError(f"{self.partial}: exists and is no interrupted run, expected nothing there; remove it")
+            raise InputError(f"{self.partial}: found no interrupted run; remove it")
         for path in there:
             if not _is_ours(path) and path.name != STAGED:
-                raise InputError(f"{path}: found what no run has written, expected an interrupted run; move it away")
+                raise InputError(f"{path}: found no file of a run; move it away")
 
     # --- tasks ---------------------------------------------------------------------------------------------------
 

@@ -219,7 +219,7 @@ def print_table(
     console.print(build(), width=room)
     left = [column.title for k, column in enumerate(columns) if k not in kept]
     if left:
-        console.print(f"no room here for: {join_words(left)} (in the report)", width=room)
+        console.print(f"Hidden columns: {join_words(left)} (in the report)", width=room)
 
 
 def print_text(console: Console, text: str) -> None:

@@ -164,7 +164,7 @@ def judge_poses(
     errors = compute_workspace_errors(inputs.design, found, inputs.workspace_actuators)
     good = np.isfinite(errors).all(axis=(1, 2))
     if not good.any():
-        raise InputError(f"calibrations: found none of {n_machines} that converged, expected more poses or tolerances")
+        raise InputError(f"calibrations: found none of {n_machines} converged, expected more poses or tolerances")
     square = errors[good] ** 2
     parts = (square[..., :3], square[..., 3:], square / inputs.limits**2)
     of_machines = np.stack([np.sqrt(part.sum(axis=-1).mean(axis=1)) for part in parts], axis=1) ** 2  # (B, 3)

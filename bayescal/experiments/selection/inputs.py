@@ -138,8 +138,7 @@ def read_selection(config: SelectionConfig, folder: Path) -> SelectionInputs:
         placed = domain.at_actuators(actuators)
         if not placed.found.all():
             raise InputError(
-                f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found none at these displacements, "
-                "expected poses the machine can take"
+                f"designs: {name}: pose {int(np.argmin(placed.found)) + 1}: found no pose at these displacements"
             )
     return SelectionInputs(config, folder, design, domain, at, read_requirements(config), measured, designs)
 
@@ -149,8 +148,7 @@ def read_design(config: SelectionConfig, folder: Path) -> Design:
     machine = read_machine(folder / config.machine, config.variant, config.deformation, folder)
     if machine.mechanism.actuator_gains is not None:
         raise InputError(
-            f"{folder / config.machine}: legs.actuator_gain: found gains, expected none: poses are selected by true "
-            "travel; remove it and divide the displacements that are found by the gains"
+            f"{folder / config.machine}: legs.actuator_gain: expected none; divide the displacements by gains"
         )
     free, symbols = FreeConfig(free=config.variant.free), known_symbols(machine.mechanism)
     priors, fixed, _ = choose_priors(config, free, machine.layout, symbols)

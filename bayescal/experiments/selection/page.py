@@ -97,7 +97,7 @@ def show_random_sets(tables: Tables, printed: Mapping[str, float | None] | None 
     ]
     figure = Figure(
         "random_sets",
-        f"{criterion} of random sets of {n} poses, first draw.",
+        f"{criterion} of random sets of {n} poses.",
         partial(draw_random_sets, sets, criterion, printed or {}),
     )
     return make_section("Random sets", (), (make_table(f"{criterion} of random sets.", columns, rows),), (figure,))
@@ -130,18 +130,18 @@ def show_accuracy(tables: Tables) -> PageSection | None:
     wanted = tables.config.calibrations
     assert wanted is not None
     how = "with priors" if wanted.use_priors else "by weighted least squares"
-    text = (f"Simulated calibrations of {wanted.machines} machines for each set of poses, {how}.",)
+    text = (f"{wanted.machines} simulated calibrations per set, {how}.",)
     summary = tables["error_summary"]
     own, designs = summary[summary["criterion"] != DESIGN], summary[summary["criterion"] == DESIGN]
     quantities = {"mean_position_um": "Mean position error, µm"}
     if tables.config.requirements.is_any:
-        quantities["simulated_over_limits"] = "Pose error in units of the limits"
+        quantities["simulated_over_limits"] = "Pose error / limit"
     else:
         quantities["simulated_rotation_arcsec"] = "Rms rotation error, arcsec"
     figures = [
         Figure(
             "errors",
-            "Simulated pose errors over the workspace: mean and standard deviation over repeats.",
+            "Simulated pose errors: mean, sd over repeats.",
             partial(draw_errors, own, designs, quantities),
         )
     ]
@@ -149,9 +149,9 @@ def show_accuracy(tables: Tables) -> PageSection | None:
     if own["criterion"].nunique() > 1 and not observed.empty:
         reference = str(observed.iloc[0])
         pairs = tabulate_pairs(tables.errors, reference, tables.part)
-        caption = f"Pose errors over those of {reference}: geometric mean over repeats."
+        caption = f"Pose errors / {reference}: geometric mean."
         figures.append(Figure("pairs", caption, partial(draw_paired, pairs[pairs["name"] != RANDOM], reference)))
-    return make_section("Accuracy after calibration", text, (_tabulate_errors(summary),), figures, wide=True)
+    return make_section("Accuracy", text, (_tabulate_errors(summary),), figures, wide=True)
 
 
 def tabulate_pairs(errors: pd.DataFrame, reference: str, part: str) -> pd.DataFrame:
@@ -179,8 +179,8 @@ def tabulate_pairs(errors: pd.DataFrame, reference: str, part: str) -> pd.DataFr
 
 
 def _tabulate_errors(summary: pd.DataFrame) -> Table:
-    columns = [Column("Way to choose", kind="text"), Column("Poses")]
-    for title, unit in (("Position, rms", "µm"), ("Rotation, rms", "arcsec"), ("In units of the limits, rms", "")):
+    columns = [Column("Method", kind="text"), Column("Poses")]
+    for title, unit in (("Position, rms", "µm"), ("Rotation, rms", "arcsec"), ("rms / limit", "")):
         columns += [Column("predicted", unit, title), Column("simulated ± se", unit, title)]
     columns += [Column("simulated ± sd", "µm", "Position, mean"), Column("rms", "tolerances", "Parameters")]
     columns.append(Column("failed"))
@@ -195,7 +195,7 @@ def _tabulate_errors(summary: pd.DataFrame) -> Table:
             cells += [format_significant(predicted, 3), format_estimate(simulated, error)]
         cells.append(format_estimate(row.mean_position_um, row.mean_position_um_sd))
         rows.append([*cells, format_significant(row.parameters_rms, 3), str(row.n_failed)])
-    return make_table("Pose errors over the workspace after calibration, all repeats together.", columns, rows)
+    return make_table("Pose errors, all repeats.", columns, rows)
 
 
 def draw_errors(summary: pd.DataFrame, designs: pd.DataFrame, quantities: Mapping[str, str]) -> plt.Figure:
@@ -264,7 +264,7 @@ def draw_paired(table: pd.DataFrame, reference: str) -> plt.Figure:
             markersize=4.5,
             linestyle="none",
             capsize=2.5,
-            label="simulated ± 2 standard errors",
+            label="simulated ± 2 se",
         )
         axes.set_xticks(at, names, rotation=30, ha="right")
         axes.set_title(f"{n} poses")
@@ -288,8 +288,8 @@ def show_designs(tables: Tables) -> PageSection | None:
     for (label, criterion, n), group in found.groupby(["label", "criterion", "n_poses"], sort=False):
         cells = [format_spread(group[name].mean(), group[name].std()) for name in INDICES]
         rows.append([f"{label}, {criterion}, mean ± sd", str(n), *cells])
-    table = make_table("Observability indices of given sets of poses and of those found here.", columns, rows)
-    return make_section("Given sets of poses", (), (table,))
+    table = make_table("Observability indices.", columns, rows)
+    return make_section("Given sets", (), (table,))
 
 
 def show_chosen(tables: Tables) -> PageSection | None:
@@ -317,10 +317,8 @@ def show_chosen(tables: Tables) -> PageSection | None:
         for row in SelectionSummaryRow.read(tables["selection_summary"])
         if row.criterion != DESIGN
     ]
-    note = Statement(
-        "The best set of each row is in plans/ (actuator displacements in mm); all poses are in poses.csv."
-    )
-    table = make_table("Every selection: the criterion, larger is better, and the time of one.", columns, rows)
+    note = Statement("Best sets: plans/; poses: poses.csv.")
+    table = make_table("Selections: criterion, time.", columns, rows)
     return make_section("Selections", (), (table,), (), (note,))
 
 
@@ -331,16 +329,16 @@ def show_method(tables: Tables) -> PageSection | None:
     criteria = [[name, *_describe_class(tables, "criterion", name)] for name in selections["criterion"].unique()]
     methods = [[*_describe_class(tables, "method", name)] for name in selections["method"].unique()]
     of = {
-        "pose": "the measured pose, in mm and rad (rotation vector)",
-        "angles": "the measured pose, in mm and rad (angles of R = R_z R_y R_x)",
+        "pose": "measured pose, mm and rad (rotation vector)",
+        "angles": "measured pose, mm and rad (R = R_z R_y R_x)",
         "closure": "the closure, J_2",
     }[tables.config.jacobian]
     n_parameters = tables.results.summary["n_parameters"]
-    text = (f"Indices O1 to O5: derivatives of {of}, by {n_parameters} parameters.",)
+    text = (f"O1 to O5: derivatives of {of}, {n_parameters} parameters.",)
     tables_ = (
         make_table(
             "Criteria.",
-            [Column("Criterion", kind="text"), Column("What it is", kind="text"), Column("Source", kind="text")],
+            [Column("Criterion", kind="text"), Column("Meaning", kind="text"), Column("Source", kind="text")],
             criteria,
         ),
         make_table("Methods.", [Column("Method", kind="text"), Column("Source", kind="text")], methods),
@@ -361,18 +359,18 @@ def _describe_candidates(config: SelectionConfig, n_measured: int | None) -> str
     section = config.candidates
     how = {
         "random": "at random",
-        "even": f"evenly on a grid of {section.levels} levels",
+        "even": f"{section.levels} grid levels",
         "factorial": "on a full factorial",
     }
-    where = "the actuators' range" if config.domain.kind == "actuators" else "the workspace"
+    where = "actuator range" if config.domain.kind == "actuators" else "the workspace"
     if config.domain.position_mm is not None and config.domain.rotation_deg is not None:
         position, rotation = (
             " × ".join(f"±{format_plain(x)}" for x in halves)
             for halves in (config.domain.position_mm, config.domain.rotation_deg)
         )
         where += f", {position} mm, {rotation} deg"
-    again = "; other ones in each repeat" if section.resample else ""
-    besides = "" if n_measured is None else f"; besides {n_measured} poses measured already"
+    again = "; redrawn each repeat" if section.resample else ""
+    besides = "" if n_measured is None else f"; {n_measured} poses measured"
     return f"{section.count} {how[section.layout]} of {where}{again}{besides}"
 
 

@@ -58,7 +58,7 @@ class ActuatorDomainConfig(Section):
     @model_validator(mode="after")
     def _check_both(self) -> Self:
         if (self.position_mm is None) != (self.rotation_deg is None):
-            raise ValueError("expected both position_mm and rotation_deg, or none of them")
+            raise ValueError("expected position_mm with rotation_deg, or neither")
         return self
 
 
@@ -164,7 +164,7 @@ class ContinuousChoiceConfig(ChoiceConfig):
     @classmethod
     def _check_start(cls, start: str) -> str:
         if start == "continuous":
-            raise ValueError("found 'continuous', expected a method that selects from the candidates")
+            raise ValueError("found 'continuous', expected a selection method")
         return start
 
 
@@ -257,7 +257,7 @@ class SelectionConfig(ExperimentConfig):
     @model_validator(mode="after")
     def _check_whole(self) -> Self:
         if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
-            raise ValueError("found no tolerance in [parameters], expected a normal or uniform prior of some")
+            raise ValueError("found no tolerance, expected [parameters] with a normal or uniform prior")
         if self.workspace is None:
             for what, needed in (
                 ("[calibrations]", self.calibrations is not None),
@@ -268,7 +268,7 @@ class SelectionConfig(ExperimentConfig):
                     raise ValueError(f"found {what} without [workspace], expected both")
         seen: set[object] = {design.name for design in self.designs}
         if len(seen) < len(self.designs):
-            raise ValueError("found two designs of one name, expected a name for each")
+            raise ValueError("found two designs of one name, expected unique names")
         for choice in self.selections:
             label = label_of(choice)
             for key in (
@@ -276,7 +276,7 @@ class SelectionConfig(ExperimentConfig):
             ):
                 if key in seen or label in seen:
                     raise ValueError(
-                        f"found {label!r} twice for criterion {key[1]} and {key[2]} poses, expected a label for each"
+                        f"found {label!r} twice for criterion {key[1]}, {key[2]} poses, expected unique labels"
                     )
                 seen.add(key)
         list(self._named_criteria())
@@ -293,7 +293,7 @@ class SelectionConfig(ExperimentConfig):
         for criterion in (one for choice in self.selections for one in choice.criteria):
             label, what = label_class(criterion), (str(criterion), getattr(criterion, "options", None) or {})
             if found.setdefault(label, what) != what:
-                raise ValueError(f"found two criteria of the name {label!r}, expected one")
+                raise ValueError(f"found two criteria named {label!r}")
             yield label, criterion
 
 

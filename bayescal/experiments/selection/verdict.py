@@ -156,7 +156,7 @@ def judge_order(tables: Tables) -> list[Statement]:
     for n in tables.numbers:
         (first, _), (second, ratio) = rank_ways(tables.errors, n, tables.metric)[:2]
         assert ratio is not None
-        text = f"{first} is best; the error of {second} is {_say(ratio)} times as large."
+        text = f"{first} is best; error of {second} {_say(ratio)}-fold."
         level: Level = "good" if ratio.clear else "warning"
         statements.append(Statement(text, level, f"Best of {n} poses", value=ratio.value, limit=1.0))
     return statements
@@ -176,7 +176,7 @@ def judge_criteria(tables: Tables) -> list[Statement]:
         simulated, predicted = (
             pair_errors(errors, one, other, n, f"{what}_{tables.part}") for what in ("simulated", "predicted")
         )
-        words = f"Error of I-optimal poses / O1-optimal: simulated {_say(simulated)}, predicted {_say(predicted)}."
+        words = f"I-optimal / O1-optimal error: simulated {_say(simulated)}, predicted {_say(predicted)}."
         level: Level = "good" if simulated.clear and simulated.value < 1.0 else "warning"
         statements.append(Statement(words, level, f"I against O1 with {n} poses", value=simulated.value, limit=1.0))
     return statements
@@ -262,21 +262,21 @@ def _recommend(tables: Tables) -> str:
     """Return which way is recommended, and by how much it is better than the next."""
     ranked = {n: rank_ways(tables.errors, n, tables.metric) for n in tables.numbers}
     if not ranked:
-        return "One way to choose poses was tried."
+        return "One method was tried."
     firsts = [order[0][0] for order in ranked.values()]
     best = max(dict.fromkeys(firsts), key=firsts.count)
     ahead = {n: order[1][1] for n, order in ranked.items() if order[0][0] == best}
     clear = {n: ratio.value for n, ratio in ahead.items() if ratio is not None and ratio.clear}
     poses = f"{best}-optimal poses" if best in CRITERIA else f"poses by “{best}”"
-    error = "pose error over the workspace (rms, of the limits)"
+    error = "pose error (rms, of the limits)"
     if not tables.config.requirements.is_any:
-        error = "mean position error over the workspace"
+        error = "mean position error"
     words = f"Use {poses}: smallest {error} with {join_words([str(n) for n in ahead])} poses."
     if not clear:
-        return f"{words} The next is within the scatter."
+        return f"{words} The next is within scatter."
     gains = format_span([100.0 * (value - 1.0) for value in clear.values()])
     which = "" if len(clear) == len(ahead) else f" with {join_words([str(n) for n in clear])} poses"
-    return f"{words} The error of the next is {gains} % larger{which}."
+    return f"{words} Next: {gains} % larger error{which}."
 
 
 def _say(ratio: Ratio) -> str:

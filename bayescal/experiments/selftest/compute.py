@@ -220,7 +220,7 @@ def judge_ranks(whence: str, names: tuple[str, ...], rank: Array, z: Array, qual
     """Return whether ranks (D, n) in shares of D out of so many data sets are uniform; z and quality likewise."""
     check = f"Simulated from the {whence}"
     if len(rank) < n / 2:
-        text = f"only {len(rank)} of {n} data sets have a posterior that is found."
+        text = f"{len(rank)} of {n} data sets have a posterior."
         return Finding(check, "calibration", "bad", text, value=len(rank), limit=n / 2)
     held, error = measure_coverage(rank)
     rms = float(np.sqrt(np.mean(z**2)))

@@ -76,11 +76,11 @@ def check_derivatives(subject: TestedVariant, rng: np.random.Generator) -> Findi
     wrong = {name: value for name, value in worst.items() if value > MAX_GRADIENT_ERROR}
     most = max(worst.values(), default=0.0)
     if not wrong:
-        text = f"derivatives agree with differences to {max(most, 1e-9):.0e}."
+        text = f"derivatives agree with differences to {max(most, 1e-09):.0e}."
         return Finding("Derivatives", "", "good", text, value=most, limit=MAX_GRADIENT_ERROR)
     symbols = name_some(list(dict.fromkeys(name.partition("[")[0] for name in wrong)))
-    text = f"derivatives by {symbols} are wrong: off by up to {100 * most:.3g} %."
-    action = "Correct them in the machine's class."
+    text = f"derivatives by {symbols} are off by up to {100 * most:.3g} %."
+    action = "Correct the machine's class."
     return Finding("Derivatives", "derivative", "bad", text, action, most, MAX_GRADIENT_ERROR)
 
 
@@ -131,7 +131,7 @@ def check_modes(posterior: LogDensity, known: list[Mode], starts: list[Array]) -
         return Finding("Modes", "", "good", text, value=0.0, limit=0.0)
     gain = max(one.log_evidence for one in missed) - known[0].log_evidence
     text = f"missed modes: {len(missed)} (best log-evidence difference {gain:+.1f} nat)."
-    action = "Narrow the priors, or free both components of a direction."
+    action = "Narrow priors, or free both direction components."
     return Finding("Modes", "mode", "bad", text, action, len(missed), 0.0)
 
 
@@ -164,7 +164,7 @@ def check_noise(measured: MeasuredReadings) -> Finding:
     left = _fit_known(measured)
     found, errors = left.found, measured.posterior.errors
     factor, check = found.factor, "Noise"
-    said = f"χ² of the readings / degrees of freedom {found.value / found.dof:.2f} ({format_chance(found.chance)})"
+    said = f"χ² / dof {found.value / found.dof:.2f} ({format_chance(found.chance)})"
     if errors.outliers.expected:
         return Finding(check, "", "good", f"{said}; outlier model active.", "", factor, 1.0)
     stated, zeta = left.explain(1.0)
@@ -175,23 +175,23 @@ def check_noise(measured: MeasuredReadings) -> Finding:
         return Finding(check, "", "good", f"{said}; free noise and errors: {free}.", "", factor, 1.0)
     best, times = max((left.explain(x)[0], x) for x in FACTORS)
     if best - stated > 0.5 * float(chi2.isf(IMPROBABLE_NOISE, 1)):
-        text = f"{said}: about {times:.2g} times the stated noise, most in {left.largest}."
+        text = f"{said}: about {times:.2g} times the noise, most in {left.largest}."
         action = "State the noise of the averages." if times < 1.0 else "State it larger, free it, or extend the model."
         return Finding(check, "noise", "bad", text, action, times, 1.0)
     if not found.is_off:
         how = "as stated" if found.chance >= UNUSUAL else "within chance"
         return Finding(check, "", "good", f"{said}, {how}.", "", factor, 1.0)
     if found.factor < 1.0:
-        action = "State the noise smaller, unless rows are averages."
+        action = "State smaller noise, unless rows are averages."
         return Finding(check, "noise", "warning", f"{said}: too small.", action, factor, 1.0)
     if not free:
-        action = "Look for what the model misses."
+        action = "Extend the model."
         return Finding(check, "noise", "bad", f"{said}: too large, most in {left.largest}.", action, factor, 1.0)
     alone, times = max((left.explain(x, without=True)[0], x) for x in FACTORS)
     if alone > stated - CLEARLY:
-        text = f"{said}: explained by free errors ({free}) or {times:.2g} times the noise."
-        return Finding(check, "noise", "warning", text, "Check the stated noise first.", times, 1.0)
-    action = "Look for a missing deformation or channels of larger error."
+        text = f"{said}: explained by {free} or {times:.2g} times the noise."
+        return Finding(check, "noise", "warning", text, "Check the noise first.", times, 1.0)
+    action = "Look for a deformation or larger channel errors."
     return Finding(check, "model error", "warning", f"{said}: explained by free errors ({free}).", action, factor, 1.0)
 
 
@@ -203,8 +203,8 @@ def _check_extraction(measured: MeasuredReadings) -> Finding | None:
     found = ChiSquare(described["chi2_per_dof"] * described["dof"], described["dof"])
     if not found.is_off:
         return None
-    text = f"scatter of targets about rigid bodies / target noise: {found.factor:.2g}."
-    action = f"State target_noise_um {found.factor:.2g} times as large."
+    text = f"target scatter / target noise: {found.factor:.2g}."
+    action = f"Multiply target_noise_um by {found.factor:.2g}."
     return Finding("Noise", "noise", "bad", text, action, found.factor, 1.0)
 
 
@@ -311,9 +311,9 @@ def check_priors(posterior: CalibrationPosterior, draws: Array) -> Finding:
     if not off:
         square, n = found["all together"]
         if not n:
-            return Finding("Tolerances", "", "good", "not determined by the data.")
+            return Finding("Tolerances", "", "good", "not determined.")
         ratio = float(np.sqrt(square / n))
-        text = f"deviations from nominal / tolerances: {ratio:.2g} (rms of {n} directions)."
+        text = f"deviations / tolerances: {ratio:.2g} (rms of {n} directions)."
         return Finding("Tolerances", "", "good", text, value=ratio, limit=1.0)
     worst = min(groups, key=lambda name: chi2.sf(*found[name]) if found[name][1] else 1.0)
     ratios = {
@@ -321,8 +321,8 @@ def check_priors(posterior: CalibrationPosterior, draws: Array) -> Finding:
         for name in [name for name in groups if name in off] or [worst]
     }
     named = name_some([f"{name} {ratio:.2g}" for name, ratio in ratios.items()])
-    text = f"prior–data conflict; deviations from nominal / tolerances: {named}."
-    action = "Widen these priors or check the model."
+    text = f"prior–data conflict; deviations / tolerances: {named}."
+    action = "Widen priors or check the model."
     return Finding("Tolerances", "prior", "bad", text, action, max(ratios.values()), 1.0)
 
 
@@ -364,7 +364,7 @@ def state_cause(search: Search) -> list[Finding]:
         text = f"{text[:-1]} (odds {odds} : 1)."
         return [Finding(check, first.fault, "bad", text, advice, first.gain, MIN_CAUSE_GAIN_NAT)]
     if search.stopped:
-        text = f"search stopped after {PATIENCE:.0f} s; {search.tried} hypotheses tested."
+        text = f"stopped after {PATIENCE:.0f} s; {search.tried} hypotheses tested."
         return [Finding(check, "", "warning", text, value=search.tried)]
     found = [Finding(check, "", "good", f"no data error found ({search.tried} hypotheses tested).", value=search.tried)]
     return found + [

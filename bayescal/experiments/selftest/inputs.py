@@ -76,7 +76,7 @@ class TestedVariant:
             drawn = posterior.likelihood.draw_common(*posterior.at(y[None]), rng)
         values = self.simulate(y, rng, drawn)
         if values is None:
-            raise NumericalError("a draw of the posterior cannot take the poses")
+            raise NumericalError("a posterior draw misses the poses")
         return self.measured.retake(
             np.concatenate([self.measured.posterior.likelihood.data.values, values])
         ).with_pose_guesses
@@ -91,7 +91,7 @@ class TestedVariant:
             values = self.simulate(y, rng)
             if values is not None:
                 return y, values
-        raise NumericalError(f"simulation: found no machine that takes the poses in {TRIES} draws of the priors")
+        raise NumericalError(f"simulation: found no machine for the poses in {TRIES} prior draws")
 
     def simulate(self, y: Array, rng: np.random.Generator, drawn: CommonDraws | None = None) -> Array | None:
         """Return readings (P, K) of a machine (n,) at the poses of the measured ones; None where it has none there.

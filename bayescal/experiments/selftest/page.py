@@ -32,21 +32,21 @@ from bayescal.report.style import GREY, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import name_parameter
 
 NAMES = {
-    "noise": "the noise is not as stated",
-    "model error": "the model misses something",
-    "unit": "a unit or a sign has slipped",
-    "legs": "legs or channels are exchanged",
-    "poses": "poses are read in another way",
-    "channel": "a channel is wrong",
-    "frame": "poses are given in another frame",
+    "noise": "noise misstated",
+    "model error": "model too simple",
+    "unit": "wrong unit or sign",
+    "legs": "legs or channels exchanged",
+    "poses": "pose convention",
+    "channel": "wrong channel",
+    "frame": "other frame",
     "drift": "readings drift",
-    "tolerance": "a tolerance is too tight",
-    "rows": "rows do not belong together",
-    "mode": "a mode is missed",
-    "derivative": "a derivative is wrong",
-    "prior": "a tolerance is too tight",
-    "search": "the posterior is not found",
-    "calibration": "coverage below nominal",
+    "tolerance": "tolerance too tight",
+    "rows": "row mismatch",
+    "mode": "missed mode",
+    "derivative": "wrong derivative",
+    "prior": "tolerance too tight",
+    "search": "posterior not found",
+    "calibration": "low coverage",
 }
 
 
@@ -65,7 +65,7 @@ def build_page(results: Results) -> Page:
         verdict=tuple(_state(row, several) for row in findings),
         sections=(*(_show_variant(results, name) for name in summary["variants"]),),
         key_figures=tuple(_list_key_figures(results, findings)),
-        facts=(("Study", summary["study"]), ("Simulated data sets", f"{summary['data_sets']} twice")),
+        facts=(("Study", summary["study"]), ("Data sets", f"{summary['data_sets']} twice")),
     )
 
 
@@ -80,7 +80,7 @@ def state_headline(results: Results) -> str:
     few = min((_count_sets(results, name) or FEWEST_SETS for name in results.summary["variants"]), default=FEWEST_SETS)
     parts = ["The study is valid" if sound else "The study fails validation", name_some(words)]
     if few < FEWEST_SETS:
-        parts.append(f"Use at least {FEWEST_SETS} data sets to judge its intervals")
+        parts.append(f"Use {FEWEST_SETS} data sets or more")
     return write_headline(parts)
 
 
@@ -93,7 +93,7 @@ def _list_key_figures(results: Results, checks: list[SelftestCheckRow]) -> list[
     found = [
         KeyFigure("Variants passed", f"{len(variants) - failed} of {len(variants)}", "", "bad" if failed else "good"),
         KeyFigure("Checks passed", f"{passed} of {len(checks)}", "", "bad" if bad else "good"),
-        KeyFigure("Simulated data sets", str(results.summary["data_sets"]), "twice"),
+        KeyFigure("Data sets", str(results.summary["data_sets"]), "twice"),
     ]
     for whence in ("prior", "posterior"):
         rows = [row for row in RecoveryRow.read(results.table("parameters")) if row.simulated_from == whence]
@@ -122,7 +122,7 @@ def _show_variant(results: Results, name: str) -> PageSection:
     anchor = f"variant-{list(results.summary['variants']).index(name) + 1}"
     mine = [row for row in RecoveryRow.read(results.table("parameters")) if row.variant == name]
     if not mine:
-        return PageSection(name, (Absent("Nothing was simulated, as checks of the data failed."),), anchor)
+        return PageSection(name, (Absent("Not simulated: data checks failed."),), anchor)
     judged = _count_sets(results, name) >= FEWEST_SETS
     blocks: list[Block] = [_plot(results, name, anchor), _tabulate(mine, judged)]
     return PageSection(name, tuple(blocks), anchor)
@@ -146,11 +146,11 @@ def _tabulate(parameters: list[RecoveryRow], judged: bool) -> Table:
             row.append(badge if judged else Cell("too few"))
             row += [format_percent(one.coverage_90), format_fixed(one.rms_z, 2)]
         rows.append(row)
-    return make_table("Ranks, coverage and recovery of every parameter.", columns, rows)
+    return make_table("Ranks, coverage, recovery by parameter.", columns, rows)
 
 
 def _plot(results: Results, name: str, anchor: str) -> Figure:
-    caption = "ECDF differences of the ranks, a line per parameter, with the 99 % band of uniform ranks; red: outside."
+    caption = "ECDF differences of ranks, 99 % band; red: outside."
     ranks, bands = results.table("ranks"), results.table("bands")
     mine, band = ranks[ranks["variant"] == name], bands[bands["variant"] == name]
     return Figure(f"ranks-{anchor}", caption, partial(draw_ranks, mine.dropna(axis=1, how="all"), band))
@@ -173,6 +173,6 @@ def draw_ranks(ranks: pd.DataFrame, bands: pd.DataFrame) -> mpl.Figure:
             )
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         axes.set_title(f"Simulated from the {one}{'s' if one == 'prior' else ''}")
-        axes.set_xlabel("Rank of the truth")
-    figure.axes[0].set_ylabel("Share of ranks below, less uniform")
+        axes.set_xlabel("Rank")
+    figure.axes[0].set_ylabel("Share − uniform")
     return figure

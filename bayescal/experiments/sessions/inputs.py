@@ -99,8 +99,8 @@ def _judge_slip(session: SessionConfig, measured: MeasuredReadings) -> str | Non
     slip = find_slip([measured.readings], denied)
     if slip is not None:
         raise InputError(
-            f"session {session.label!r}: found data that no machine within the tolerances comes near, expected this "
-            f"machine's; {slip.say()}{tell_denial('ignored_data_errors of the session')}"
+            f"session {session.label!r}: probable data error: "
+            f"{slip.say()}{tell_denial('ignored_data_errors of the session')}"
         )
     slip = find_slip([measured.readings]) if denied else None
     return None if slip is None else f"Session {session.label!r}: {slip.say()}"
@@ -113,8 +113,8 @@ def _check_apart(config: SessionsConfig, measured: list[MeasuredReadings]) -> No
         for earlier in range(k):
             if np.array_equal(one, values[earlier], equal_nan=True):
                 raise InputError(
-                    f"session {config.sessions[k].label!r}: found the readings of session "
-                    f"{config.sessions[earlier].label!r} to the last digit, expected another measurement"
+                    f"session {config.sessions[k].label!r}: found the readings of "
+                    f"{config.sessions[earlier].label!r}, expected another measurement"
                 )
 
 
@@ -130,7 +130,7 @@ def _read_temperatures(session: SessionConfig, measured: MeasuredReadings, folde
     table.check_unique([(name,) for name in names], "pose")
     for name in poses:
         if name not in names:
-            raise InputError(f"{folder / session.temperatures}: found no row of pose {str(name)!r}, expected one")
+            raise InputError(f"{folder / session.temperatures}: pose {str(name)!r}: missing")
     return table.numbers(["temperature_celsius"])[[names.index(name) for name in poses], 0]
 
 
@@ -191,8 +191,7 @@ def _build_expansions(thermal: ThermalConfig | None, layout: ParameterLayout) ->
             if symbol not in layout.symbols or layout.block(symbol).unit != "mm":
                 lengths = [block.symbol for block in layout.blocks if block.unit == "mm"]
                 raise InputError(
-                    f"thermal.{name}: found no length {symbol!r}, expected bodies.{name} with symbols of "
-                    f"{', '.join(lengths)}"
+                    f"thermal.{name}: found no length {symbol!r}, expected symbols of {', '.join(lengths)}"
                 )
         index = np.concatenate([layout.index[symbol] for symbol in symbols])
         found.append(ThermalExpansion(name, index, PPM * body.ppm, PPM * body.sd_ppm))
@@ -215,10 +214,7 @@ def describe_free(
     priors = [posterior.priors[name] for name in names]
     for name, prior in zip(names, priors, strict=True):
         if not isinstance(prior, NormalPrior):
-            raise InputError(
-                f"{study}: parameters: found a uniform prior of {name}, expected normal ones, since sessions are "
-                "joined in closed form"
-            )
+            raise InputError(f"{study}: parameters: found a uniform prior of {name}, expected normal ones")
     mean, sd = (np.array([getattr(one, key) for one in priors]) for key in ("mean", "sd"))
     units = tuple(layout.units[int(np.argmax(move))] for move in moves)
     return posterior.sampling.start, moves, names, units, mean, sd
@@ -260,17 +256,12 @@ def measure_sessions(
             measured = measure_variants(experiment, placed, path, [name])[name].count_by_row()
             errors = measured.posterior.errors
             if errors.outliers.expected:
-                raise InputError(
-                    f"{path}: found a robust variant, expected another: sessions are joined in closed form"
-                )
+                raise InputError(f"{path}: found a robust variant, expected another")
             if not all(isinstance(one, GPTerm) for one in errors.common):
-                raise InputError(
-                    f"{path}: found functions of [error_terms], expected a variant without: sessions have those of "
-                    "[model_error]"
-                )
+                raise InputError(f"{path}: found functions of [error_terms], expected none")
             if found and errors.names != found[0].posterior.errors.names:
                 names, expected = (", ".join(one.names) for one in (errors, found[0].posterior.errors))
-                raise InputError(f"found errors {names}, expected those of the first session, {expected}")
+                raise InputError(f"found errors {names}, expected {expected}")
             found.append(measured)
     return _join_functions(found)
 
@@ -299,11 +290,9 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
     """Return a calibration with a session's tables instead of its own, in their order."""
     given = [key for key in FILES if getattr(session, key) is not None]
     if given:
-        raise InputError(f"found {given[0]}, expected readings, as {path} has tables of them")
+        raise InputError(f"found {given[0]}, expected readings as in {path}")
     if len(session.readings) != len(study.data):
-        raise InputError(
-            f"found {len(session.readings)} files of readings, expected {len(study.data)}: one a [[data]] of {path}"
-        )
+        raise InputError(f"found {len(session.readings)} files of readings, expected {len(study.data)} as in {path}")
     tables = [
         one.model_copy(update={"file": os.path.relpath(str(folder / name), str(path.parent)), "verification_poses": []})
         for one, name in zip(study.data, session.readings, strict=True)
@@ -316,12 +305,12 @@ def _place_files(study: Any, session: SessionConfig, folder: Path, path: Path) -
     data = study.data
     named: Mapping[str, str] = {key: getattr(session, key) for key in FILES if getattr(session, key) is not None}
     if session.readings:
-        raise InputError(f"found readings, expected {data.instrument}, as {path} is a study of legs")
+        raise InputError(f"found readings, expected {data.instrument} as in {path}")
     if data.instrument not in named:
-        raise InputError(f"found no {data.instrument}, expected its file, as {path} is a study of {data.instrument}")
+        raise InputError(f"found no {data.instrument}, expected its file as in {path}")
     for key in named:
         if key not in type(data).model_fields:
-            raise InputError(f"found {key}, expected nothing of it, as {path} is a study of {data.instrument}")
+            raise InputError(f"found {key}, expected {data.instrument} alone as in {path}")
     moved = {key: os.path.relpath(str(folder / name), str(path.parent)) for key, name in named.items()}
     return study.model_copy(update={"data": data.model_copy(update=moved)})
 
@@ -345,9 +334,9 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings]
         k = int(beyond[0])
         leg = int(np.argmax(np.abs(off[k] - off[0])))
         raise InputError(
-            f"session {labels[k]!r}: found leg {leg + 1} off by {abs(off[k, leg] - off[0, leg]):.3g} mm from session "
-            f"{labels[0]!r}, expected at most {limit[k]:.3g} mm of one machine with this drift; for several machines "
-            'say model = "population"'
+            f"session {labels[k]!r}: found leg {leg + 1} off by {abs(off[k, leg] - off[0, leg]):.3g} "
+            f"mm from session {labels[0]!r}, expected at most {limit[k]:.3g} mm; several machines: "
+            'model = "population"'
         )
 
 

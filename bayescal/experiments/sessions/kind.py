@@ -36,7 +36,7 @@ class Sessions(DerivedExperiment[SessionsConfig, SessionsInputs]):
         del before_run
         if inputs.config.thermal is not None or not np.isfinite(inputs.temperature).any():
             return []
-        return ["sessions state temperatures, and there is no [thermal]: what they do counts as drift"]
+        return ["temperatures without [thermal]: their effect counts as drift"]
 
     def estimate_memory(self, inputs: SessionsInputs) -> MemoryEstimate:
         """Return what the joint model of all sessions takes."""
@@ -58,4 +58,4 @@ class Sessions(DerivedExperiment[SessionsConfig, SessionsInputs]):
     def list_failures(self, results: Results) -> list[str]:
         """Return which models have weights that cannot be relied on."""
         poor = [name for name, reliable in results.summary["reliable"].items() if not reliable]
-        return [f"importance weights of {', '.join(poor)} have too heavy a tail"] if poor else []
+        return [f"Pareto k too large: {', '.join(poor)}"] if poor else []

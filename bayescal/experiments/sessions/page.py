@@ -69,15 +69,13 @@ def build_page(results: Results) -> Page:
         PageSection(
             f"Motion of the {what}s", (_plot_motions(results, walk), _tabulate_motions(results, walk)), f"{what}s"
         ),
-        PageSection("Prior scales of the drift", (_tabulate_scales(results, walk),), "scales"),
+        PageSection("Drift scales", (_tabulate_scales(results, walk),), "scales"),
     ]
     if expansion:
-        sections.append(
-            PageSection("Expansion", (tabulate_rows("Coefficients of expansion.", expansion),), "expansion")
-        )
+        sections.append(PageSection("Expansion", (tabulate_rows("Expansion coefficients.", expansion),), "expansion"))
     sections += [
         PageSection("Sessions", (tabulate_rows("Sessions.", sessions),), "sessions"),
-        PageSection("Evidence", (tabulate_rows("Evidence of every model.", models),), "evidence"),
+        PageSection("Evidence", (tabulate_rows("Evidence by model.", models),), "evidence"),
     ]
     return Page(
         kind="Sessions",
@@ -113,14 +111,14 @@ def state_headline(results: Results) -> str:
     walk, nats = summary["drift_model"] == "random_walk", summary["log_evidence_drift"]
     differ, differs = ("moved", "moved") if walk else ("differ", "differs")
     if nats < -CLEAR:
-        advice = "Keep the calibration" if walk else "One calibration serves all machines"
+        advice = "Keep the calibration" if walk else "One calibration for all machines"
         return write_headline([advice, f"no change (log Bayes factor {format_fixed(nats, 1, sign=True)})"])
     if nats < CLEAR:
         said = f"Inconclusive: log Bayes factor {format_fixed(nats, 1, sign=True)}"
         return write_headline([said, "Measure more poses"])
-    advice = "Calibrate again" if walk else "Calibrate each machine for itself"
+    advice = "Calibrate again" if walk else "Calibrate each machine"
     moved = [name_parameter(one.parameter_group) for one in scales if one.log_bayes_factor_moved > CLEAR]
-    what = f"{name_some(moved)} {differs if len(moved) == 1 else differ}" if moved else "which part is open"
+    what = f"{name_some(moved)} {differs if len(moved) == 1 else differ}" if moved else "open part"
     return write_headline([advice, f"{what} ({say_odds(nats)})"])
 
 
@@ -130,7 +128,7 @@ def _list_key_figures(results: Results, walk: bool) -> list[KeyFigure]:
     nats = summary["log_evidence_drift"]
     level: Level = "warning" if nats > CLEAR else "good" if nats < -CLEAR else "plain"
     found = [
-        KeyFigure("Log Bayes factor of motion", format_fixed(nats, 1, sign=True), "nat", level),
+        KeyFigure("Log Bayes factor", format_fixed(nats, 1, sign=True), "nat", level),
         KeyFigure("Sessions" if walk else "Machines", str(summary["n_sessions"])),
         KeyFigure("Poses", str(summary["n_poses"])),
     ]
@@ -152,7 +150,7 @@ def _find_worst_k(results: Results) -> float:
 def _list_statements(results: Results, walk: bool) -> list[Statement]:
     summary, found = results.summary, state_denied(results.summary)
     nats, error = summary["log_evidence_drift"], summary["log_evidence_drift_se"]
-    text = f"Log Bayes factor of motion against none: {format_estimate(nats, max(error, 0.01), sign=True)}."
+    text = f"Log Bayes factor of motion: {format_estimate(nats, max(error, 0.01), sign=True)}."
     level: Level = "warning" if nats > CLEAR else "plain"
     found.append(Statement(text, level, "Evidence", value=nats, limit=CLEAR, unit="nat"))
     what, moved = _read_motions(results)
@@ -167,19 +165,19 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
         found.append(Statement(text, "plain", "Largest motion", value=largest.mean, unit=unit))
     few = [_name(one) for one in last if one not in known]
     if few:
-        text = f"Motion not determined by the data: {what}{'s' * (len(few) > 1)} {name_some(few)}."
+        text = f"Not determined: {what}{'s' * (len(few) > 1)} {name_some(few)}."
         found.append(Statement(text, "plain" if known else "warning", "Motion", value=len(few), limit=0.0))
     for one in ExpansionRow.read(results.table("expansion")):
         expected, estimate = (format_estimate(*both) for both in ((one.prior_mean, one.prior_sd), (one.mean, one.sd)))
         text = f"Expansion of {one.body}: {estimate} ppm/K (prior {expected})."
         if one.sd > (1.0 - CLEAR_REDUCTION) * one.prior_sd:
-            text = f"Expansion of {one.body}: not determined by the data (prior {expected} ppm/K)."
+            text = f"Expansion of {one.body}: not determined (prior {expected} ppm/K)."
         found.append(Statement(text, "plain", "Temperature", value=one.mean, limit=one.prior_mean, unit="ppm/K"))
     k, models = _find_worst_k(results), results.table("models")
-    text = f"Importance sampling: ESS fraction at least {format_percent(float(models['exact_efficiency'].min()))}, "
+    text = f"Importance sampling: ESS at least {format_percent(float(models['exact_efficiency'].min()))}, "
     text += f"Pareto k at most {format_fixed(k, 2)}."
     good = k <= PARETO_K_LIMIT
-    action = "" if good else "Use more draws, or fewer symbols."
+    action = "" if good else "Use more draws."
     level = "good" if good else "bad"
     found.append(Statement(text, level, "Computation", value=k, limit=PARETO_K_LIMIT, action=action))
     return found
@@ -216,12 +214,12 @@ def _tabulate_motions(results: Results, walk: bool) -> Table:
         own = [] if by_leg else [one.unit or MICROMETRES]
         rows.append([one.since, one.session, _name(one), moved, interval, *own, sure])
     if by_leg:
-        caption = "Change of every leg's length, with its sd."
+        caption = "Leg length changes ± sd."
         return make_table(caption, columns, rows)
     limits = " and ".join(
         _name_shift(summary, one) for one in dict.fromkeys(one.unit or MICROMETRES for one in motions)
     )
-    caption = f"Change of every channel's reading at home, with its sd; limit {limits}."
+    caption = f"Reading changes at home ± sd; limit {limits}."
     return make_table(caption, columns, rows)
 
 
@@ -237,20 +235,16 @@ def _tabulate_scales(results: Results, walk: bool) -> Table:
         factor = Cell(format_fixed(nats, 1, sign=True), "warning" if nats > CLEAR else "plain")
         own = f" {one.unit}{' per √month' * walk}" if one.unit else ""
         rows.append([one.parameter_group, f"{format_estimate(one.mean, one.sd)}{own}", interval, factor])
-    caption = "Scales of the motion, and log Bayes factor of each against none."
+    caption = "Motion scales, log Bayes factor of each."
     return make_table(caption, columns, rows)
 
 
 def _plot_motions(results: Results, walk: bool) -> Block:
     what, motions = _read_motions(results)
     if what == "channel":
-        caption = "Change of every channel's reading at home from session to session: mean and 90 % interval."
+        caption = "Reading changes by session, 90 % interval."
         return Figure("channels", caption, partial(draw_motions, motions, walk))
-    caption = (
-        "Change of every leg's length from session to session: mean and 90 % interval."
-        if walk
-        else "Length of every leg of every machine, less the mean of all: mean and 90 % interval."
-    )
+    caption = "Leg length changes by session, 90 % interval." if walk else "Leg lengths less the mean, 90 % interval."
     return Figure("legs", caption, partial(draw_motions, motions, walk))
 
 

@@ -44,7 +44,7 @@ class SessionConfig(Section):
     @model_validator(mode="after")
     def _check_one(self) -> Self:
         if self.temperature_celsius is not None and self.temperatures is not None:
-            raise ValueError("found temperature_celsius and temperatures, expected one of them")
+            raise ValueError("found temperature_celsius and temperatures, expected either")
         return self
 
 
@@ -126,17 +126,17 @@ class SessionsConfig(OfAnotherConfig):
         if self.drift.model == "random_walk":
             for one, before in zip(self.sessions, [None, *self.sessions], strict=False):
                 if one.time_days is None:
-                    raise ValueError(f"session {one.label!r}: found no time_days, expected it, since parameters walk")
+                    raise ValueError(f"session {one.label!r}: found no time_days")
                 if before is not None and before.time_days is not None and one.time_days <= before.time_days:
                     raise ValueError(
-                        f"session {one.label!r}: found time_days {one.time_days:g} after {before.time_days:g} of "
-                        f"{before.label!r}, expected sessions in the order of their days"
+                        f"session {one.label!r}: found time_days {one.time_days:g} after "
+                        f"{before.time_days:g} of {before.label!r}, expected ascending days"
                     )
         if self.thermal is not None:
             for one in self.sessions:
                 if one.temperature_celsius is None and one.temperatures is None:
                     raise ValueError(
-                        f"session {one.label!r}: found no temperature, expected temperature_celsius or temperatures, "
-                        "as [thermal] needs one of every session"
+                        f"session {one.label!r}: found no temperature, expected temperature_celsius "
+                        "or temperatures for [thermal]"
                     )
         return self

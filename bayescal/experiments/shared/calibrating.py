@@ -113,15 +113,15 @@ def load_calibrated(
             if variant not in (None, found.source.variant):
                 raise InputError(f"{path}: found an exported variant {found.source.variant!r}, expected {variant!r}")
             if mode is not None:
-                raise InputError(f"{path}: --mode: found {mode}, expected none: an exported machine is one solution")
+                raise InputError(f"{path}: --mode: found {mode}, expected none for an exported machine")
         else:
             place = None if experiment is None else Path(experiment)
             found = _calibrate(path, variant, place, mode, with_instruments)
     if found.source.problems and not allow_unconverged:
         problems = "; ".join(found.source.problems)
         raise InputError(
-            f"{path}: variant {found.source.variant!r} did not converge ({problems}), expected one that did, or "
-            "--allow-unconverged, in Python allow_unconverged=True"
+            f"{path}: variant {found.source.variant!r} did not converge ({problems}); "
+            "--allow-unconverged, in Python allow_unconverged=True, uses it"
         )
     return found
 
@@ -134,9 +134,7 @@ def _calibrate(
     name = read_json(path / PROVENANCE_FILE).get("kind")
     kind: object = None if not isinstance(name, str) or ":" in name else find_kind(name, path, None)
     if not isinstance(kind, CalibratingKind):
-        raise InputError(
-            f"{path}: found results of kind {name!r}, which hold no calibrated machine, expected those of a study"
-        )
+        raise InputError(f"{path}: found kind {name!r}, expected a study")
     return kind.calibrate(read_results(path, kind.tables_of_machine), variant, experiment, mode, with_instruments)
 
 
@@ -151,7 +149,5 @@ def load_same[C: ExperimentConfig](results: Results, path: Path, schema: type[C]
         raise InputError(f"{path}: kind: found {config.kind!r}, expected {wanted!r}")
     identity = identify(config, path.parent, experiment.files(config, path.parent))
     if any(results.provenance.get(key) != identity[key] for key in ("config", "files")):
-        raise InputError(
-            f"{path}: found another {config.kind} than that of {results.folder}, expected the same config and files"
-        )
+        raise InputError(f"{path}: found another {config.kind} than {results.folder}, expected the same")
     return config

@@ -59,14 +59,14 @@ SHOWN = {"mm": (1e3, "µm"), "rad": (1e6, "µrad")}
 """Factors and units in which uncertainties are stated, by inner units."""
 N_CHECKED = 64  # poses that draws go through
 SOURCES = {
-    GEOMETRY: "geometry (the posterior of the calibration)",
-    NOISE: "noise of the actuators, as stated",
-    MODEL: "model error, what the model leaves unexplained",
-    MATRIX: "deformation matrix, as measured",
+    GEOMETRY: "geometry (posterior)",
+    NOISE: "stated actuator noise",
+    MODEL: "model error",
+    MATRIX: "deformation matrix",
 }
 KNOWN_SOURCES = SOURCES | {
-    GEOMETRY: "geometry and systematic errors, as found together",
-    MODEL: "model error, what is random or drifts",
+    GEOMETRY: "geometry and systematic errors",
+    MODEL: "random model error",
 }
 """The same of a machine whose systematic errors are known."""
 COLOURS = dict(zip(SOURCES, (LEG_COLOURS[4], LEG_COLOURS[1], LEG_COLOURS[0], LEG_COLOURS[3]), strict=True))
@@ -132,7 +132,7 @@ class Certificate:
     @property
     def where(self) -> str:
         """What is certified, in words."""
-        return "all over the actuators' range" if self.region is None else f"over {self.region.words}"
+        return "over the actuator range" if self.region is None else f"over {self.region.words}"
 
     @property
     def ratios(self) -> Array:
@@ -273,27 +273,25 @@ def _judge(
 def build_certificate(found: Certificate) -> Page:
     """Return the page of a certificate."""
     source = found.calibrated.source
-    failures = tuple(
-        Statement(f"Not converged, certified with --allow-unconverged: {one}.", "bad") for one in source.problems
-    )
+    failures = tuple(Statement(f"Not converged: {one}.", "bad") for one in source.problems)
     figures: Table | Statement = Statement(f"Not meaningful: {found.without}.", "plain", "Figures")
     if found.poses is not None:
         figures = _tabulate_figures(found, found.poses)
-    caption = "Share of each source in the variance of each axis, mean over the workspace."
+    caption = "Share of the variance by source."
     shares = Figure("budget", caption, partial(draw_shares, _find_shares(found), found.axis_names))
     return Page(
         kind="Certificate",
         name=source.experiment,
-        title=f"Uncertainty of a calibrated machine: {found.calibrated.name}",
+        title=f"Calibrated machine: {found.calibrated.name}",
         origin=source.data,
         headline=state_headline(found),
         verdict=tuple(_state_verdict(found)),
         sections=(
-            PageSection("What is certified", (_tabulate_subject(found),), "subject", "Subject"),
-            PageSection("Budget by source", (_tabulate_budget(found), shares), "budget", "Budget"),
-            PageSection("Figures of ISO 9283 and ISO 230-2", (figures,), "figures", "Figures"),
-            PageSection("Inputs and software", _list_inputs(found), "inputs", "Inputs"),
-            PageSection("How it was computed", (Definitions(_explain(found)),), "method", "Method"),
+            PageSection("Subject", (_tabulate_subject(found),), "subject", "Subject"),
+            PageSection("Budget", (_tabulate_budget(found), shares), "budget", "Budget"),
+            PageSection("ISO figures", (figures,), "figures", "Figures"),
+            PageSection("Inputs", _list_inputs(found), "inputs", "Inputs"),
+            PageSection("Method", (Definitions(_explain(found)),), "method", "Method"),
         ),
         failures=failures,
     )
@@ -335,33 +333,29 @@ def _state_verdict(found: Certificate) -> list[Statement]:
     model, shares, main, said = found.calibrated.model, _find_shares(found), _choose_main(found), list[Statement]()
     if not model.states_tool:
         names = ", ".join(one.name for one in model.coordinates)
-        text = f"The machine's class states no tool: its coordinates {names} are certified instead."
+        text = f"No tool in the class: coordinates {names} are certified."
         said.append(Statement(text, "warning", "Tool"))
     if found.beyond > MUCH_BEYOND:
-        text = (
-            f"{format_percent(found.beyond)} of the poses lie outside the box of the calibration poses: extrapolated."
-        )
-        action = "Certify the measured region (without --full-range), or measure poses there."
+        text = f"{format_percent(found.beyond)} of the poses are extrapolated beyond the calibration poses."
+        action = "Omit --full-range, or measure poses there."
         said.append(Statement(text, "warning", "Extrapolated", action=action))
     first = max(shares, key=lambda source: shares[source][main].mean())
-    text = f"{found.sources[first]} makes {format_percent(float(shares[first][main].mean()))} of the variance"
+    text = f"{found.sources[first]}: {format_percent(float(shares[first][main].mean()))} of the variance"
     text += " of position." if model.places_tool else "."
-    said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Where it comes from"))
+    said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Main source"))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
-    text = f"Monte Carlo by {found.spread.n_draws} draws differs from k u by {100 * worst:+.1f} % at most"
+    text = f"Monte Carlo ({found.spread.n_draws} draws) / k u: {100 * worst:+.1f} %"
     if found.agrees:
-        said.append(Statement(f"{text}, within {format_percent(AGREED)}: k u is stated.", "good", "Checked"))
+        said.append(Statement(f"{text} (limit {format_percent(AGREED)}): k u stated.", "good", "Checked"))
     else:
-        said.append(Statement(f"{text}: Monte Carlo is stated.", "warning", "Checked"))
+        said.append(Statement(f"{text}: Monte Carlo stated.", "warning", "Checked"))
     held_back, n = _find_held_back(found), found.summary.get("n_poses", {}).get("verification", 0)
     if held_back and n:
         inside = held_back["interval_90_coverage"]
-        text = (
-            f"{format_percent(inside)} of the pose components of {n} held-back poses lie within their 90 % intervals."
-        )
+        text = f"{format_percent(inside)} of {n} verification poses lie within 90 % intervals."
         low, high = span_shares(COVERAGE, n)
         good = low <= inside <= high
-        said.append(Statement(text, "good" if good else "warning", "Confirmed by held-back data"))
+        said.append(Statement(text, "good" if good else "warning", "Verified"))
     return said
 
 
@@ -405,32 +399,29 @@ def _tabulate_budget(found: Certificate) -> Table:
         return [title, *(_micro(value) for value in values)]
 
     rows = [write(found.sources[source], found.summarise(found.budget.sd(source))[0]) for source in found.budget.parts]
-    rows.append(write("combined standard uncertainty u", found.summarise(found.budget.sd())[0]))
+    rows.append(write("combined u", found.summarise(found.budget.sd())[0]))
     percent = format_percent(found.wishes.coverage)
     rows.append(
         write(f"expanded, k = {found.factor:.2f} ({percent})", found.summarise(found.factor * found.budget.sd())[0])
     )
     rows.append(write(f"expanded, Monte Carlo ({percent})", found.summarise(found.spread.half_width)[0]))
-    rows.append(write("stated expanded uncertainty U", found.summarise(found.expanded)[0]))
-    rows.append(write("stated U at the worst pose", found.summarise(found.expanded)[1]))
+    rows.append(write("stated U", found.summarise(found.expanded)[0]))
+    rows.append(write("U, worst pose", found.summarise(found.expanded)[1]))
     unaligned = found.expanded_unaligned
     if unaligned is not None:
-        rows.append(write("U without alignment, k u", found.summarise(unaligned)[0]))
+        rows.append(write("U without alignment", found.summarise(unaligned)[0]))
     radius = float(np.sqrt(np.mean(found.spread.radius**2))) * 1e3
     notes = [
-        Statement(
-            f"{percent} of positions lie within {_micro(radius)} µm of the stated one in any direction (Monte Carlo, "
-            f"root mean square over {len(found.spread.radius)} poses)."
-        )
+        Statement(f"{percent} of positions lie within {_micro(radius)} µm (Monte Carlo, rms).")
         if found.calibrated.model.places_tool
-        else Statement(f"Monte Carlo: root mean square over {len(found.spread.radius)} poses."),
+        else Statement("Monte Carlo: rms."),
         Statement(
-            "Uncertainty is stated in the machine base frame; add that of your instrument's frame."
+            "In the base frame; add your instrument's frame uncertainty."
             if unaligned is None
-            else "Uncertainty is stated after best-fit alignment of base and tool frames."
+            else "After best-fit frame alignment."
         ),
     ]
-    return make_table("Standard uncertainties by source, root mean square over the workspace", columns, rows, notes)
+    return make_table("Standard uncertainty by source, rms", columns, rows, notes)
 
 
 def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
@@ -438,14 +429,14 @@ def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
     calibrated, model = found.calibrated, found.calibrated.model
     if isinstance(model, Legs):
         mechanism = model.machine.mechanism
-        measurand = "pose of the platform's frame in the base frame at given actuator positions, without a load"
+        measurand = "platform pose at given actuator positions, unloaded"
         words = f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"
         return [("Measurand", measurand), ("Machine", words)]
     what = "tool" if model.states_tool else "coordinates"
     measurand = f"{what} {', '.join(found.axis_names)} at given commands {', '.join(model.commanded)}"
     typical = ", ".join(f"{name} = {value[0]:.4g}" for name, value in calibrated.typical(1).items())
     rows = [("Measurand", measurand), ("Machine", calibrated.name)]
-    return rows + ([("At", f"{typical}, the median of the poses that calibrated it")] if typical else [])
+    return rows + ([("At", f"{typical} (median)")] if typical else [])
 
 
 def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
@@ -463,31 +454,25 @@ def _tabulate_figures(found: Certificate, poses: PoseFigures) -> Table:
 
     shape = ("line", "square", "cube")[len(found.calibrated.lengths) - 1]
     edge = f"{shape} of {found.cube_mm:g} mm about home"
-    add(f"ISO 9283 pose accuracy AP, worst of five poses in a {edge}", poses.accuracy.max(axis=1))
-    add("ISO 9283 pose repeatability RP, worst of five poses, 30 cycles", poses.repeatability.max(axis=1))
+    add(f"ISO 9283 pose accuracy AP, {edge}", poses.accuracy.max(axis=1))
+    add("ISO 9283 pose repeatability RP", poses.repeatability.max(axis=1))
     for name, axis in zip([found.axis_names[k] for k in found.calibrated.lengths], found.axes, strict=True):
-        add(f"ISO 230-2 accuracy A of {name}, one direction", axis.accuracy)
-        add(f"ISO 230-2 systematic deviation E of {name}, one direction", axis.systematic)
-        add(f"ISO 230-2 repeatability R of {name}, one direction", axis.repeatability)
+        add(f"ISO 230-2 accuracy A of {name}", axis.accuracy)
+        add(f"ISO 230-2 systematic deviation E of {name}", axis.systematic)
+        add(f"ISO 230-2 repeatability R of {name}", axis.repeatability)
     held_back = _find_held_back(found)
     if held_back:
         error = held_back["position_error_mm"]
         mean, largest = (_micro(error[key] * 1e3) for key in ("mean", "max"))
         rows.append(
             [
-                "position error, mean and largest of the held-back poses",
+                "position error, verification poses: mean, largest",
                 mean,
                 largest,
-                "from the data's held-back poses",
+                "measured",
             ]
         )
-    notes = [
-        Statement(
-            "Predicted figures are those of machines of the posterior commanded by the calibrated one. They hold "
-            "neither friction, backlash and reversal nor drift and temperature, which only a measurement of the "
-            "standards' own cycles shows."
-        )
-    ]
+    notes = [Statement("Predicted. Excludes friction, backlash, drift and temperature.")]
     return make_table("", columns, rows, notes)
 
 
@@ -495,7 +480,7 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
     provenance = found.provenance
     columns = [Column("Input", kind="text"), Column("", kind="text")]
     if not provenance:
-        row = ("exported machine", "its results, which name files and versions, are not beside it")
+        row = ("exported machine", "results not available")
         return (make_table("", columns, [row]),)
     config, known = provenance["config"], dict[str, Any]()
     for name, section in (("", config.get("data", {})), *config.get("sensors", {}).items()):
@@ -512,9 +497,9 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
     files = [(name, digest) for name, digest in provenance["files"].items()]
     return (
         make_table(
-            "Files by their SHA-256", [Column("File", kind="name"), Column("SHA-256", kind="text")], files, style="wide"
+            "SHA-256 of files", [Column("File", kind="name"), Column("SHA-256", kind="text")], files, style="wide"
         ),
-        make_table("Standard deviations as stated, and versions", columns, stated),
+        make_table("Stated standard deviations, versions", columns, stated),
     )
 
 
@@ -530,7 +515,7 @@ def draw_shares(shares: dict[str, Array], names: tuple[str, ...]) -> mpl.Figure:
         left += 100 * share
     axes.invert_yaxis()
     axes.set_xlim(0.0, 100.0)
-    axes.set_xlabel("Share of the variance in %")
+    axes.set_xlabel("Share of variance (%)")
     figure.legend(loc="outside upper left", ncols=len(shares))
     return figure
 
@@ -538,20 +523,16 @@ def draw_shares(shares: dict[str, Array], names: tuple[str, ...]) -> mpl.Figure:
 def _explain(found: Certificate) -> tuple[tuple[str, str], ...]:
     return (
         (
-            "Where do the standard uncertainties come from?",
-            "The posterior of the calibration gives the uncertainty of the geometry (type A, with tolerances as type B "
-            "through their priors); noise is taken as stated (type B). The kinematics turn both into poses: the law "
-            "of propagation of uncertainty (JCGM 100, section 5).",
+            "Standard uncertainties",
+            "Geometry: posterior (type A; priors type B). Noise: stated (type B). Propagation: JCGM 100, section 5.",
         ),
         (
-            "Why k, and why Monte Carlo?",
-            f"k = {found.factor:.2f} holds {format_percent(found.wishes.coverage)} of a normal quantity. Draws of the "
-            "posterior go through the kinematics as they are, bent ridges and all (JCGM 101). Where both differ by "
-            f"more than {format_percent(AGREED)}, Monte Carlo's interval is stated.",
+            "Coverage",
+            f"k = {found.factor:.2f} ({format_percent(found.wishes.coverage)}); Monte Carlo (JCGM "
+            f"101) where it differs by more than {format_percent(AGREED)}.",
         ),
         (
-            "What is not covered?",
-            "Load, temperature, drift since the calibration, friction and backlash, unless the model has them. Whether "
-            "the calibration still holds is a question of its own.",
+            "Not covered",
+            "Load, temperature, drift, friction and backlash, unless modelled.",
         ),
     )

@@ -48,7 +48,7 @@ def read_machine(
             return measured()
         name = deformation.matrix
         if name == "targets":
-            raise InputError("deformation.matrix: found 'targets' without measured ones, expected a CSV file with K")
+            raise InputError("deformation.matrix: found 'targets', expected a CSV file with K")
         return 1e-3 * read_matrix(folder / name, mechanism.n_legs)
 
     nominal = NominalDeformation(deformation.kappa, matrix)
@@ -90,7 +90,7 @@ def build_sensor(name: str, config: SensorConfig, folder: Path) -> Sensor:
     platform = points_of(config.platform)
     base = None if config.base is None else points_of(config.base)
     if base is not None and (len(base) < LEAST_TARGETS or np.linalg.matrix_rank(base - base.mean(axis=0)) < 2):
-        raise InputError(f"sensors.{name}.base: found {len(base)} targets on a line, expected three or more off it")
+        raise InputError(f"sensors.{name}.base: found {len(base)} targets on a line, expected three off it")
     return PointSensor(platform, MICROMETRE * config.noise_um, base)
 
 
@@ -103,8 +103,8 @@ def _build_own_sensor(name: str, config: OwnSensorConfig, folder: Path) -> Senso
     fine = told.shape == (2, 6, 6) and np.isfinite(told).all() and np.allclose(told, np.swapaxes(told, -1, -2))
     if not fine:
         raise InputError(
-            f"{field}: found information of shape {told.shape} from {config.kind}, expected "
-            "symmetric finite matrices of shape (2, 6, 6) for two poses"
+            f"{field}: found information of shape {told.shape} from {config.kind}, expected (2, 6, "
+            "6), symmetric, for two poses"
         )
     return sensor
 

@@ -191,7 +191,7 @@ class Estimate:
         if not self.bridge.converged:
             problems.append("bridge sampling did not converge")
         if not self.gap <= AGREEMENT:
-            problems.append(f"the two log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
+            problems.append(f"log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
         problems += list_importance_problems(
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
@@ -203,8 +203,8 @@ class Estimate:
         if self.correction is not None and not self.correction.is_trusted:
             share, pareto_k = 100 * self.correction.efficiency, self.correction.pareto_k
             problems.append(
-                f"the evidence by the exact density rests on {share:.0f} % of its draws, limit "
-                f"{100 * MOVED_LIMIT:.0f} %, Pareto k {pareto_k:.2f}, limit {PARETO_K_LIMIT}"
+                f"exact density: ESS {share:.0f} % (limit {100 * MOVED_LIMIT:.0f} %), Pareto k "
+                f"{pareto_k:.2f} (limit {PARETO_K_LIMIT})"
             )
         return problems
 

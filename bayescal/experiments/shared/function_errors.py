@@ -46,7 +46,7 @@ CENTRED = 200
 """Rows, over which functions have a mean of zero."""
 SHOWN = {"mm": (1.0 / MICROMETRE, "um"), "rad": (1.0 / ARCSECOND, "arcsec")}
 INTERVAL = [0.05, 0.95]
-REMEDY = "fewer poses, a longer length, or no such errors"
+REMEDY = "fewer poses, a longer length"
 
 
 def has_lengths(model: ReadingModel) -> bool:

@@ -156,7 +156,7 @@ def say_choice(candidates: Sequence[Candidate], label: str = "", careful: bool =
         return f"Use none yet: not converged (best so far: {label or chosen.label})"
     if rivals := find_rivals(candidates):
         names = name_some([one.label for one in rivals])
-        return f"Use none yet: {names} did not converge and may be better (best so far: {label or chosen.label})"
+        return f"Use none yet: {names} did not converge (best so far: {label or chosen.label})"
     alike = group_candidates(candidates)[0]
     if len(candidates) == 1:
         words += ", the only variant"
@@ -173,7 +173,7 @@ def state_rivals(candidates: Sequence[Candidate]) -> list[Statement]:
     rivals = find_rivals(candidates)
     if not rivals:
         return []
-    text = f"{name_some([one.label for one in rivals])} may be better than the variant to use, but did not converge."
+    text = f"{name_some([one.label for one in rivals])} did not converge and may be better."
     return [Statement(text, "warning", "Evidence", value=len(rivals), limit=0.0, action=f"Use {RERUN}.")]
 
 
@@ -191,7 +191,7 @@ def state_ruled_out(candidates: Sequence[Candidate]) -> list[Statement]:
     if not less:
         return []
     best = min(less, key=lambda one: one.error)
-    text = f"{best.label} has a smaller position error, but is rejected by the data (log Bayes factor)."
+    text = f"{best.label} has the smaller position error, but is rejected by the data."
     value = best.log_evidence - chosen.log_evidence
     return [Statement(text, "warning", "Accuracy", value=value, limit=-DECISIVE, unit="nat")]
 
@@ -246,7 +246,7 @@ def say_requirements(probabilities: Mapping[str, float]) -> str:
     if not each:
         return "requirements not stated"
     if not all(map(math.isfinite, each.values())):
-        return "requirements fail: the machine's own sensors do not determine its pose"
+        return "requirements fail: own sensors do not determine the pose"
     least = min(each, key=lambda name: each[name])
     together = probabilities.get("", math.nan)
     together = together if math.isfinite(together) else each[least]
@@ -261,7 +261,7 @@ def rate_probability(probability: float) -> Level:
 
 def say_data_first(suspicion: str) -> str:
     """Return the first sentence of a headline of data that seem to be wrong: nothing else is advised beside it."""
-    return f"Correct the data first: {suspicion}. No figure is reliable until then"
+    return f"Correct the data first: {suspicion}"
 
 
 def write_headline(parts: Iterable[str]) -> str:

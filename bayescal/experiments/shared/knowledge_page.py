@@ -42,7 +42,7 @@ VERDICT_LEVELS: dict[str, Level] = {
     "several": "warning",
 }
 """How good the news of a parameter's verdict is."""
-NO_TOOL = "The machine's class states no tool: its coordinates are reported."
+NO_TOOL = "No tool in the machine's class: coordinates are reported."
 TOOL_ACTION = "State tool_channels and tool()."
 BEFORE, AFTER = GREY, LEG_COLOURS[4]
 WORTHWHILE = 0.01  # of the mean squared error; what promises less is no advice
@@ -76,13 +76,13 @@ def show_predicted_error(known: Sequence[ToolUncertaintyRow], asked: ChosenUnits
 def show_predicted(rows: Sequence[ToolUncertaintyRow], aligned: bool) -> list[PageSection]:
     """Return the tool's uncertainty before and after calibration as a section; none where nothing tells it."""
     known = [row for row in rows if math.isfinite(row.posterior_sd)]
-    return [PageSection("Before and after", (illustrate_predicted(known, aligned),))] if known else []
+    return [PageSection("Before, after", (illustrate_predicted(known, aligned),))] if known else []
 
 
 def illustrate_predicted(known: Sequence[ToolUncertaintyRow], aligned: bool) -> Figure:
     """Return the tool's uncertainty before and after calibration in a picture."""
-    caption = "Predicted standard uncertainty of the tool, rms over the workspace, before and after calibration."
-    caption += " After best-fit alignment of base and tool frames." if aligned else ""
+    caption = "Predicted tool uncertainty, rms over the workspace."
+    caption += " After best-fit alignment." if aligned else ""
     return Figure("before_after", caption, partial(draw_predicted, ToolUncertaintyRow.collect(known)))
 
 
@@ -122,13 +122,13 @@ def show_accuracy(
     """
     if "accuracy" not in tables:
         return None
-    text = "Standard uncertainty (k = 1) of the tool as located by the machine's own sensors"
-    text += ", after best-fit alignment of base and tool frames." if is_aligned(tables["accuracy"]) else "."
+    text = "Standard uncertainty (k = 1) of the tool"
+    text += ", after best-fit alignment" if is_aligned(tables["accuracy"]) else "."
     first = tables["accuracy"]["variant"] == variant
     every, titles = tables["accuracy"], name_titles(tables)
     blocks: list[Block] = [_tabulate_accuracy(every[first] if first.any() else every, titles, asked)]
     if first.any() and not first.all():
-        blocks.append(Fold("The other variants", (_tabulate_accuracy(every[~first], titles, asked),)))
+        blocks.append(Fold("Other variants", (_tabulate_accuracy(every[~first], titles, asked),)))
     return PageSection("Tool uncertainty", (text, *blocks))
 
 
@@ -136,7 +136,7 @@ def _tabulate_accuracy(accuracy: pd.DataFrame, titles: Mapping[str, str], asked:
     """Return the rows of some variants."""
     rows = [replace(row, variant=titles[row.variant]) for row in ToolUncertaintyRow.read(accuracy)]
     without = () if is_aligned(accuracy) else ("unaligned_sd", "max_unaligned_sd")
-    return tabulate_rows("Predicted standard uncertainty.", rows, asked, without)
+    return tabulate_rows("Predicted uncertainty.", rows, asked, without)
 
 
 def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[Statement]:
@@ -174,7 +174,7 @@ def state_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: ChosenUn
         ]
         text = f"Best candidate pose ({SENSORS[sensors]} sensors): {', '.join(place)}."
         gain = 1.0 - math.sqrt(max(0.0, 1.0 - row.variance_reduction))
-        action = f"Measure it: the error falls by {format_percent(gain, 1)}."
+        action = f"Measure it: error −{format_percent(gain, 1)}."
         found.append(Statement(text, lead="Next", value=100.0 * gain, unit="%", action=action))
     return found
 
@@ -196,6 +196,6 @@ def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: ChosenUni
         ]
         for row in mine
     ]
-    text = ("The error is the rms standard uncertainty of the tool over the workspace.",)
-    table = make_table("The best of the candidate poses.", columns, rows)
-    return [make_section("What to measure next", text, (table,))]
+    text = ("Error: rms tool uncertainty over the workspace.",)
+    table = make_table("Best candidate pose.", columns, rows)
+    return [make_section("Next measurement", text, (table,))]

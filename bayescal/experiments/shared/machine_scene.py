@@ -17,18 +17,14 @@ SYMBOLS = {"base": "a", "platform": "b"}
 AXES = ("x", "y", "z")
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 CAPTION = (
-    "The machine with its joints: turn it with mouse, finger or arrow keys; a point under the pointer tells where it "
-    "is. Symbols are those of leg 1: a, joint at the base; b, joint on the platform (blue); l, length of the leg{}."
+    "Joints; turn with mouse, finger or arrow keys. Leg 1: a, base joint; b, platform joint (blue); l, leg length{}."
 )
 DRIVES = {
-    True: "; u, direction of the actuator, which moves the joint along the dashed guide by ρ",
+    True: "; u, actuator direction; ρ, its travel",
     False: ", which ρ changes",
 }
-FOUND = (
-    " Orange: how far the joints were found from nominal, drawn {} times too large (of b in the platform's frame at "
-    "home); bars: standard deviations, enlarged alike."
-)
-KNOWN = " Orange bars: how well each joint will be known, ± 1 standard deviation, drawn {} times too large."
+FOUND = " Orange: deviations from nominal, {}-fold (b: platform frame); bars: sd."
+KNOWN = " Orange bars: posterior sd, {}-fold."
 
 
 def build_scene(
@@ -76,7 +72,7 @@ def build_scene(
     told = FOUND if any(any(one) for one in offsets.values()) else KNOWN
     caption = CAPTION.format(DRIVES[has_guides]) + (told.format(format_plain(magnified)) if magnified else "")
     poses_said = f"; {len(poses) - 1} poses can be chosen" if len(poses) > 1 else ""
-    alt = f"Drawing of a machine with {n} legs between the joints of its base and those of its platform{poses_said}."
+    alt = f"Machine with {n} legs between base and platform joints{poses_said}."
     return Scene("machine", caption, alt, tuple(points), tuple(lines), tuple(poses), tuple(labels), magnified)
 
 
@@ -124,10 +120,10 @@ def build_line_scene(
     last = len(points) - 1
     lines = tuple(SceneLine((k, last), "leg") for k in range(last))
     magnified = choose_magnification(points)
-    caption = "The machine: a point on lines from the anchors A. Turn it with mouse, finger or arrow keys."
+    caption = "A point on lines from anchors A. Turn with mouse, finger or arrow keys."
     if magnified:
-        caption += FOUND.format(format_plain(magnified)).replace(" (of b in the platform's frame at home)", "")
-    alt = f"Drawing of a point that hangs on {last} lines."
+        caption += FOUND.format(format_plain(magnified)).replace(" (b: platform frame)", "")
+    alt = f"A point on {last} lines."
     return Scene(
         "machine", caption, alt, tuple(points), lines, tuple(places), (("A", (0,)), ("l", (0, last))), magnified
     )

@@ -104,14 +104,14 @@ def measure_variants(
     known = [one.name for one in config.variants]
     for name in names:
         if name not in known:
-            raise InputError(f"{path}: variant {name!r}: unknown here, expected one of {', '.join(known)}")
+            raise InputError(f"{path}: variant {name!r}: expected one of {', '.join(known)}")
     return measuring.measure(config, path, names or known, with_model_error)
 
 
 def check_measures(experiment: object, config: Any, path: Path) -> MeasuringKind:
     """Return the kind of experiment of a file; InputError where it measures no machine."""
     if not isinstance(experiment, MeasuringKind):
-        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study', with measured data")
+        raise InputError(f"{path}: kind: found {config.kind!r}, expected 'study'")
     return experiment
 
 

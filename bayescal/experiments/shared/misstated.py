@@ -99,7 +99,7 @@ def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedIn
     if loss <= SURE_OF_SCATTER:
         return None
     said = " (or: ".join(one.text for one in noises[:2])
-    text = f"rows scatter by more than the stated noise, which tau of the model error takes up; as well, {said}"
+    text = f"rows scatter by more than the noise, as tau shows; also, {said}"
     return MisstatedInput(SCATTER, f"{text}{')' * (len(noises) > 1)}", noises[0].factor, loss)
 
 
@@ -122,7 +122,7 @@ def _find_taken_up(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedI
     first = int(np.where(mine, sizes, 0.0).argmax())
     size = _say_size(search.readings, float(np.linalg.norm(sizes[mine])), *kinds[first])
     loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(mine, ABSENT, zeta)), base.zeta)[0]
-    text = f"{tight[0].text} (or the machine errs by {size}, which explains the readings as well)"
+    text = f"{tight[0].text} (or a model error of {size})"
     return MisstatedInput(EITHER, text, tight[0].factor, loss)
 
 
@@ -174,14 +174,14 @@ def _find_large(
     for one in _list_excesses(search, fit, required):
         loss = _measure_loss(fit, one.most)
         if loss > one.sure:
-            less = f"errors that are not make them {format_significant(loss, 2)} nats less probable"
+            less = f"{format_significant(loss, 2)} nat less without"
             return MisstatedInput(LARGE, f"{one.said} ({less}){_say_rival(fit, rivals)}", one.factor, loss)
     misfit = _measure_misfit(fit)
     if misfit.factor <= STATED or not misfit.is_off:
         return None
     text = (
-        f"what no machine within its tolerances explains is {format_significant(misfit.factor, 2)} times as large as "
-        f"the stated noise{' and the largest model error that helps' if search.posterior.errors.terms else ''}"
+        f"residuals are {format_significant(misfit.factor, 2)} times the stated "
+        f"noise{(' and model error' if search.posterior.errors.terms else '')}"
     )
     gain = 0.5 * misfit.dof * (misfit.factor**2 - 1.0 - 2.0 * float(np.log(misfit.factor)))
     return MisstatedInput(LARGE, f"{text}{_say_rival(fit, rivals)}", misfit.factor, gain)
@@ -191,10 +191,10 @@ def _say_rival(fit: CauseFit, rivals: Sequence[Rival]) -> str:
     """Return which single cause explains readings instead of a model error of any size, with its odds."""
     best = max(rivals, key=lambda one: one.value, default=None)
     if best is None or best.value - fit.value < -RIVAL_WITHIN_NAT:
-        return "; of all single causes that were tried none explains them as well"
+        return "; no single cause explains as much"
     gain = best.value - fit.value
     odds = format_odds(gain) if gain > 0.0 else f"1 to {format_odds(-gain).removesuffix(' to 1')}"
-    return f"; a single cause instead, odds of {odds}: {best.text}"
+    return f"; single cause, odds of {odds}: {best.text}"
 
 
 def _measure_misfit(fit: CauseFit) -> ChiSquare:
@@ -233,7 +233,7 @@ def _exceed_allowed(search: SlipSearch, fit: CauseFit, whose: list[_Kind], share
         if size <= share * MAX_SIZE_RATIO * allowed:
             continue
         amounts = [_say_size(search.readings, one, *kind) for one in (size, allowed)]
-        text = f"the readings need errors of {amounts[0]}, far beyond the {amounts[1].split(' at ')[0]} allowed for"
+        text = f"the readings need errors of {amounts[0]}, beyond the {amounts[1].split(' at ')[0]} allowed"
         most = np.where(mine, np.minimum(fit.zeta, 0.0), fit.zeta)
         yield _Excess(size / allowed, text, most, SURE_OF_SIZE)
 
@@ -267,7 +267,7 @@ def _say_size(readings: VariantReadings, size: float, of_model: bool, unit: str)
         return format_amount(size, unit)
     if has_lengths(readings.model):
         return f"{format_amount(size, unit)} at the tool"
-    return f"{format_significant(size / OF_NOISE, 2)} times the noise of its channels"
+    return f"{format_significant(size / OF_NOISE, 2)} times the noise"
 
 
 def _measure_at_tool(search: SlipSearch, fit: CauseFit) -> Array | None:

@@ -37,8 +37,8 @@ def describe_determinacy(counted: str, rows: Array, names: Sequence[str]) -> str
     weak, m = len(names) - known - dead, len(names)
     if known == m:
         every = {1: "the one combination", 2: "both combinations"}.get(m, f"all {format_count(m)} combinations")
-        return f"{counted}: {every} of parameters will be determined (their uncertainty at least halved)"
-    parts = [f"{known} of {m} combinations of parameters will be determined (their uncertainty at least halved)"]
+        return f"{counted}: {every} will be determined"
+    parts = [f"{known} of {m} combinations will be determined"]
     parts += [f"{weak} hardly"] if weak else []
     parts += [f"{dead} {'stay at their tolerances' if dead > 1 else 'stays at its tolerance'}"] if dead else []
     verdicts = judge_parameters(information, np.empty((m, 0)))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 NAME, ROWS = "readings", "rows"
-PREDICTED = "readings that would be measured again"
+PREDICTED = "readings measured again"
 FUNCTIONS = "functions"
 """Group of what is known of errors that are functions of the pose."""
 MODE = "mode"
@@ -141,9 +141,9 @@ class ReadingLayout:
         density : ndarray, shape (E, S, P)
             Log-density of all readings of a row.
         """
-        of_rows = make_dataset({ROWS: (("row",), density, "nat", "log-density of all readings of a row")}, drawn=True)
+        of_rows = make_dataset({ROWS: (("row",), density, "nat", "log-density by row")}, drawn=True)
         own = self._pick(np.repeat(density[..., None], len(self.channels), axis=-1).astype(np.float32))
-        of_readings = self._keep(own, "nat", "log-density of the whole row of a reading", True)[NAME]
+        of_readings = self._keep(own, "nat", "log-density of the whole row", True)[NAME]
         unit = ", ".join(dict.fromkeys(self.units))
         return {
             "log_likelihood": of_rows.assign_coords(row=list(self.rows)).assign_coords({NAME: of_readings}),
@@ -184,5 +184,5 @@ def read_draws(path: Path, mode: int | None = None) -> dict[str, Array]:
             label = read_netcdf(path, "sample_stats")[MODE].to_numpy().ravel()
             values = {name: x[label == mode] for name, x in values.items()}
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a posterior ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: not a posterior ({' '.join(str(error).split())})") from error
     return values

@@ -30,9 +30,7 @@ def read_requirements(
     units, said = _list_required(model), Units(section.length, section.angle)
     for name in stated:
         if name not in units:
-            raise InputError(
-                f"requirements: found {name!r}, expected some of {', '.join(units) or 'none: it has no tool'}"
-            )
+            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units) or 'none: no tool'}")
     components, _ = name_tool(model)
     found = []
     for name, unit in units.items():
@@ -73,8 +71,7 @@ def is_aligned(frame: AccuracyFrame, model: ReadingModel, priors: Mapping[str, P
     if not model.places_tool:
         names = ", ".join(name_tool(model)[0])
         raise InputError(
-            f"accuracy_frame: found 'base' of a machine whose tool ({names}) has no place in it, expected one to three "
-            "lengths among tool_channels of its class, or no accuracy_frame"
+            f"accuracy_frame: found 'base' with tool ({names}), expected one to three lengths in tool_channels, or none"
         )
     layout, symbols = model.layout, set(model.instrument_symbols)
     sd = {True: {"": 0.0}, False: {"": 0.0}}
@@ -84,8 +81,7 @@ def is_aligned(frame: AccuracyFrame, model: ReadingModel, priors: Mapping[str, P
     worst = max(sd[True], key=lambda name: sd[True][name])
     if sd[True][worst] > max(sd[False].values()):
         raise InputError(
-            f"accuracy_frame: found 'base', and {worst} known to {sd[True][worst]:g} mm only, less well than the "
-            "machine's own parts, so that nothing says where the base is; expected a tolerance of that frame from "
-            "marks on the base, or accuracy_frame = 'aligned'"
+            f"accuracy_frame: found 'base', but {worst} is known to {sd[True][worst]:g} mm only, "
+            "expected a tolerance of that frame, or 'aligned'"
         )
     return False

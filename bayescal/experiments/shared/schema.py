@@ -16,7 +16,7 @@ from bayescal.numerics.units import choose_arcseconds
 
 def _check_order(values: list[float]) -> list[float]:
     if values[0] > values[1]:
-        raise ValueError(f"found {values[0]:g} to {values[1]:g}, expected the smaller number first")
+        raise ValueError(f"found {values[0]:g} to {values[1]:g}, expected the smaller first")
     return values
 
 
@@ -99,7 +99,7 @@ class PoseSensorConfig(RotationNoiseConfig):
     @model_validator(mode="after")
     def _check_something(self) -> Self:
         if self.position_um is None and self.arcseconds is None:
-            raise ValueError("expected position_um or orientation_arcsec, or both")
+            raise ValueError("expected position_um, orientation_arcsec, or both")
         return self
 
 

@@ -27,15 +27,15 @@ from bayescal.report.scene import Group, Scene, SceneLine, ScenePoint, Triple
 NOWHERE: Triple = (0.0, 0.0, 0.0)
 REACH = 0.35  # of the drawn arrow of gravity, in units of the largest distance of a joint
 SYMBOLS = (
-    ("a_x, a_y, a_z", "Joint of a strut at the base, base frame."),
-    ("b_x, b_y, b_z", "Joint of a strut on the platform, platform frame."),
-    ("l", "Length of a strut where its actuator q reads zero, without load, at the reference temperature."),
-    ("c", "Compliance of a strut with its joints: how much longer it becomes under a pull of 1 N."),
-    ("g_x, g_y, g_z", "Centre of gravity of what the struts carry, platform frame; the weight W acts there."),
-    ("e_s, e_b, e_p", "Expansion of struts, base and platform by temperature."),
-    ("sag", "Where the base goes between zenith and horizon, with the cosine of the elevation: shift and turn."),
-    ("lift", "The same with one less the sine of the elevation."),
-    ("drift", "Where the base goes by temperature: shift and turn for a kelvin."),
+    ("a_x, a_y, a_z", "Strut joint, base frame."),
+    ("b_x, b_y, b_z", "Strut joint, platform frame."),
+    ("l", "Strut length at q = 0, unloaded, reference temperature."),
+    ("c", "Strut compliance."),
+    ("g_x, g_y, g_z", "Centre of gravity, platform frame."),
+    ("e_s, e_b, e_p", "Thermal expansion: struts, base, platform."),
+    ("sag", "Base motion with elevation (cosine)."),
+    ("lift", "Same (1 − sine)."),
+    ("drift", "Base motion per kelvin."),
 )
 
 
@@ -59,8 +59,8 @@ def describe_machine(path: Path) -> Page:
     if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):
         return _describe_struts(model.name, model.machine)
     raise InputError(
-        f"{path}: kind: found a machine of one function, which does not say where its joints are, expected a "
-        "mechanism on legs, struts, a sliding platform or a machine of lines"
+        f"{path}: kind: found a machine whose class does not tell its joints, expected legs, struts, "
+        "sliding platform or lines"
     )
 
 
@@ -81,7 +81,7 @@ def _tabulate(caption: str, columns: Sequence[Column], numbers: Array) -> Table:
 
 
 def _list_joint_columns(first: str) -> list[Column]:
-    group = ("a, joint at the base, mm", "b, joint on the platform, mm")
+    group = ("a, base joint, mm", "b, platform joint, mm")
     return [Column(first), *(Column(axis, group=one) for one in group for axis in AXES)]
 
 
@@ -89,23 +89,23 @@ def _list_joint_columns(first: str) -> list[Column]:
 
 
 def _describe_mechanism(mechanism: Mechanism) -> Page:
-    drive = "struts change their lengths" if mechanism.drive == "strut" else "actuators move the joints at the base"
+    drive = "struts change length" if mechanism.drive == "strut" else "actuators move base joints"
     travel = format_plain(mechanism.actuator_range)
-    headline = f"{mechanism.n_legs} legs; {drive}, by at most {travel} mm from the initial position."
+    headline = f"{mechanism.n_legs} legs; {drive}, ±{travel} mm."
     n = mechanism.n_legs
     moves = np.vstack([np.ones((1, n)), -np.ones((1, n)), np.eye(n)])  # half-way to their ends, together and one by one
     names = ["all out", "all in", *(f"actuator {leg} out" for leg in range(1, n + 1))]
     actuators = mechanism.initial_actuator_positions + 0.5 * mechanism.actuator_range * moves
     scene = build_scene(tabulate_joints(mechanism, actuators, names))
     if scene is None:
-        raise InputError(f"mechanism {mechanism.name!r}: found no home pose, expected legs that reach the platform")
+        raise InputError(f"mechanism {mechanism.name!r}: found no home pose, expected legs that reach")
     columns, parts = _list_joint_columns("Leg"), [mechanism.base_points, mechanism.platform_points]
     if mechanism.drive == "base":
         columns += [Column(axis, group="u, direction") for axis in AXES]
         parts.append(mechanism.directions)
     columns += [Column("l", "mm", symbolic=True), Column("rho0", "mm", symbolic=True)]
     numbers = np.column_stack([*parts, mechanism.leg_lengths, mechanism.initial_actuator_positions])
-    table = _tabulate("Joints and legs as designed; b in the platform's frame.", columns, numbers)
+    table = _tabulate("Nominal joints and legs.", columns, numbers)
     return _make_page(mechanism.name, headline, (scene,), table)
 
 
@@ -148,17 +148,14 @@ def _describe_sliding(machine: SlidingPlatform) -> Page:
     lines = [SceneLine(tuple(range(2 * n, 3 * n)), "platform", closed=True)]
     lines += [SceneLine((n + k, 2 * n + k), "leg") for k in range(n)]
     lines += [SceneLine((k, n + k), "guide") for k in range(n)]
-    caption = (
-        "The machine at home, which moves in one plane. P: where a carriage reads zero; s: its way along the guide; "
-        "l: leg; B: joint on the platform."
-    )
+    caption = "Planar machine at home. P: carriage zero; s: travel; l: leg; B: platform joint."
     labels = (("P", (0,)), ("s", (0, n)), ("l", (n, 2 * n)), ("B", (2 * n,)))
-    alt = f"Drawing of a planar platform on {n} legs whose carriages slide on guides."
+    alt = f"Planar platform on {n} legs with carriages on guides."
     scene = Scene("machine", caption, alt, tuple(points), tuple(lines), labels=labels)
     columns = [Column("Leg"), Column("x_P", "mm", symbolic=True), Column("y_P", "mm", symbolic=True)]
     columns += [Column("beta", "deg", symbolic=True), Column("l", "mm", symbolic=True)]
     numbers = np.column_stack([machine.guide_points, np.degrees(machine.guide_angles), machine.leg_lengths])
-    table = _tabulate("Guides and legs as designed.", columns, numbers)
+    table = _tabulate("Nominal guides and legs.", columns, numbers)
     return _make_page(machine.name, f"A planar platform on {n} sliding legs.", (scene,), table)
 
 
@@ -173,8 +170,8 @@ def _describe_struts(name: str, machine: StrutMachine) -> Page:
     scene = _draw_struts(machine, base, home + platform, centre)
     columns = [*_list_joint_columns("Strut"), Column("l", "mm", symbolic=True), Column("c", "nm/N", symbolic=True)]
     numbers = np.column_stack([base, platform, nominal["l"], nominal["c"]])
-    table = _tabulate("Joints and struts as designed; b in the platform's frame.", columns, numbers)
-    headline = f"{N_STRUTS} struts that change their lengths, bent by their load and stretched by temperature."
+    table = _tabulate("Nominal joints and struts.", columns, numbers)
+    headline = f"{N_STRUTS} struts under load and temperature."
     symbols = ("a_x", "a_y", "a_z", "b_x", "b_y", "b_z", "g_x", "g_y", "g_z", "e_s", "e_b", "e_p")
     return _make_page(name, headline, (scene, Definitions(SYMBOLS)), table, "struts", symbols)
 
@@ -194,14 +191,14 @@ def _draw_struts(machine: StrutMachine, base: Array, upper: Array, centre: Array
     points = (
         *scene.points,
         ScenePoint("g, centre of gravity", "moved", (_triple(centre),)),
-        ScenePoint("gravity at the zenith", "moved", (zenith,)),
-        ScenePoint("gravity at the horizon", "moved", (horizon,)),
+        ScenePoint("zenith", "moved", (zenith,)),
+        ScenePoint("horizon", "moved", (horizon,)),
     )
     lines = (*scene.lines, SceneLine((n, n + 1), "moved"), SceneLine((n, n + 2), "moved"))
     labels = (*scene.labels, ("g", (n,)), ("W, zenith", (n + 1,)), ("W, horizon", (n + 2,)))
-    caption = scene.caption.replace("which ρ changes", "which the actuator q changes")
-    caption += " Orange: g, centre of gravity, and where the weight W points at the zenith and at the horizon."
-    alt = f"{scene.alt.rstrip('.')}, the centre of gravity and the weight at zenith and horizon."
+    caption = scene.caption.replace("which ρ changes", "which q changes")
+    caption += " Orange: centre of gravity g, weight W at zenith and horizon."
+    alt = f"{scene.alt.rstrip('.')}, centre of gravity and weight."
     return Scene(scene.name, caption, alt, points, lines, scene.poses, labels, scene.magnified)
 
 

@@ -55,7 +55,7 @@ ANGLES = {
     "in radians where degrees are stated": 180.0 / np.pi,
     "of the other sign": -1.0,
 }
-GEARS = {"twice too large": 0.5, "half as large as they should be": 2.0}
+GEARS = {"twice too large": 0.5, "half as large": 2.0}
 """What happens to a single sensor: another gear ratio, edges counted once or twice."""
 FACTORS: tuple[float, ...] = (
     0.05,
@@ -128,7 +128,7 @@ def list_effects(readings: VariantReadings, pose: Array) -> Iterator[Cause]:
     if not readings.posterior.errors.outliers.expected:
         for k, name in enumerate(readings.posterior.likelihood.data.poses):
             row = f"row {k + 1} (pose {str(name)!r})"
-            text = f"{row} does not belong to the others: look at its readings, or leave it out"
+            text = f"{row} does not belong to the others: check or leave it out"
             yield Cause(ROWS, text, without=(k,))
 
 
@@ -153,7 +153,7 @@ def _list_columns(readings: VariantReadings) -> Iterator[Cause]:
             yield _move(f"legs of {kind} seem to be counted from leg {step + 1}", values, own, np.roll(own, -step))
         yield from _shift(kind, own, values)
         if unit == "rad":
-            text = f"readings of {kind} seem to start again after a full turn"
+            text = f"readings of {kind} seem to restart after a full turn"
             yield Cause(UNIT, text, RowReadings(values, np.arange(len(values)), tuple(own)))
     pairs = [(a, b) for a, b in combinations(range(len(names)), 2) if channels[a].unit == channels[b].unit]
     if len(pairs) > MOST_PAIRS:
@@ -214,7 +214,7 @@ def _shift(name: str, columns: np.ndarray, values: Array, together: bool = False
         moved = values.copy()
         moved[:, columns] = np.roll(values[:, columns], step, axis=0)
         there = np.arange(len(values))[slice(1, None) if step > 0 else slice(None, -1)]
-        text = f"rows of {name} seem to be shifted by one: they belong to the readings of the row {words}"
+        text = f"rows of {name} seem shifted by one, readings of the row {words}"
         yield Cause(ROWS, text, RowReadings(moved[there], there))
 
 
@@ -244,7 +244,7 @@ def _say_blind(readings: VariantReadings, channel: Channel, measured: Array, ste
     """Return what a channel reads that the others contradict: always the same, all shifted alike, or anything."""
     good = np.isfinite(measured) & np.isfinite(expected)
     said, unit = (
-        f"readings of {channel.name} do not fit those of the other channels, which fit each other",
+        f"readings of {channel.name} contradict the other channels, which agree",
         channel.unit,
     )
     if not good.any():
@@ -252,8 +252,8 @@ def _say_blind(readings: VariantReadings, channel: Channel, measured: Array, ste
     measured, expected = measured[good], expected[good]
     if steady:
         return (
-            f"{channel.name} does not move: it reads {format_in_unit(measured[0], unit)} in all rows, where the other "
-            f"channels say {format_in_unit(expected.min(), unit)} to {format_in_unit(expected.max(), unit)}"
+            f"{channel.name} does not move: it reads {format_in_unit(measured[0], unit)}, expected "
+            f"{format_in_unit(expected.min(), unit)} to {format_in_unit(expected.max(), unit)}"
         )
     off = measured - expected
     middle = float(np.median(off))
@@ -297,7 +297,7 @@ def _list_rereads(readings: VariantReadings) -> Iterator[Cause]:
         moved[np.ix_(whole, lengths)], moved[np.ix_(whole, turned)] = position, rotation_vector_from_matrix(rotation)
         yield Cause(POSES, text, RowReadings(moved, every))
     for words, factor in ANGLES.items():
-        text = f"rotations of the poses seem to be {'inverted' if factor < 0.0 else words}"
+        text = f"rotations seem to be {('inverted' if factor < 0.0 else words)}"
         yield _scale_about(text, values, turned, factor, 0.0)
 
 
@@ -312,21 +312,20 @@ def list_rereads(position: Array, rotation: Array) -> Iterator[tuple[str, Array,
             Rotation.from_euler("".join(axes), vectors[:, order]).as_matrix(),
         )
     back = np.swapaxes(rotation, 1, 2)
-    yield "rotations seem to be those of the base seen from the platform, the other way round", position, back
+    yield "rotations seem to be those of the base in the platform", position, back
     seen = -np.einsum("pij,pj->pi", back, position)
-    yield "poses seem to be those of the base in the platform's frame", seen, back
+    yield "poses seem to be those of the base in the platform", seen, back
     for k, axis in enumerate(FIXED):
         mirror = np.where(np.arange(3) == k, -1.0, 1.0)
-        text = f"poses seem to be given in a left-handed frame, {axis} of the other sign"
+        text = f"poses seem left-handed, {axis} of the other sign"
         yield text, position * mirror, mirror[:, None] * rotation * mirror
 
 
 def _describe_angles(axes: str) -> str:
     columns = ROLL_PITCH_YAW if axes == FIXED else name_angles(axes)
     return (
-        "rx_deg, ry_deg and rz_deg seem to be no rotation vectors but angles about the fixed axes "
-        f"{', '.join(axes)} one after the other: call them {', '.join(columns)}"
-        + ("" if axes == FIXED else ", in that order of axes")
+        f"rx_deg, ry_deg and rz_deg seem to be angles about the fixed axes {', '.join(axes)}: call "
+        f"them {', '.join(columns)}" + ("" if axes == FIXED else ", in that order")
     )
 
 
@@ -416,10 +415,7 @@ def _list_couplings(readings: VariantReadings) -> Iterator[Cause]:
         for i in alike:
             columns[:, own[i], i, alike] = travel[:, alike]
     names = join_words(list(dict.fromkeys(readings.channels[k].kind for k in own)))
-    text = (
-        f"{names} err in proportion to the travel by more than model and model error say: choose a deformation, or "
-        "leave out terms of [model_error], so that all are taken"
-    )
+    text = f"{names} err in proportion to travel: add a deformation, or use all [model_error] terms"
     yield Cause(MODEL, text, columns=columns.reshape(*readings.values.shape, -1), most=COUPLED)
 
 
@@ -448,9 +444,7 @@ def _list_channels(readings: VariantReadings) -> Iterator[Cause]:
 
 def _say_zero(channel: Channel, size: Array) -> str:
     amount = format_in_unit(size[0], channel.unit, "+")
-    return (
-        f"readings of {channel.name} seem to have another zero, {amount} off in all rows by what the other channels say"
-    )
+    return f"readings of {channel.name} seem to have another zero, {amount} off in all rows"
 
 
 def _say_scale(readings: VariantReadings, channel: Channel, size: Array) -> str:
@@ -460,13 +454,13 @@ def _say_scale(readings: VariantReadings, channel: Channel, size: Array) -> str:
     advice = ""
     if gain is not None:
         advice = f": widen the prior of {gain}" if gain in free else f": correct them, or free {gain} in [parameters]"
-    return f"readings of {channel.name} seem to be {factor:.4g} times what the other channels say{advice}"
+    return f"readings of {channel.name} seem to be {factor:.4g} times the expected ones{advice}"
 
 
 def _say_drift(channel: Channel, size: Array) -> str:
     return (
-        f"readings of {channel.name} drift by {format_in_unit(size[0], channel.unit)} from the first row to the last: "
-        "correct them, or keep drift among the terms of [model_error]"
+        f"readings of {channel.name} drift by {format_in_unit(size[0], channel.unit)}: correct them, "
+        "or keep drift in [model_error]"
     )
 
 
@@ -489,11 +483,11 @@ def _say_frame(name: str, size: Array) -> str:
     said = [f"{format_significant(float(np.linalg.norm(size[:3])), 2)} mm"]
     if len(size) > 3:
         said.append(f"{np.degrees(np.linalg.norm(size[3:])):.2g}°")
-    return f"the poses look given in a {name} frame that is {' and '.join(said)} off: free [frames] {name}, or give it"
+    return f"the poses seem to be in a {name} frame {' and '.join(said)} off: free [frames] {name}, or give it"
 
 
 def _say_moving_frame(name: str, size: Array) -> str:
-    return f"the {name} frame drifts by {1e3 * float(np.linalg.norm(size[:3])):.2g} µm while rows are measured"
+    return f"the {name} frame drifts by {1000.0 * float(np.linalg.norm(size[:3])):.2g} µm"
 
 
 def _find_frames(readings: VariantReadings, pose: Array) -> dict[str, Array]:

@@ -267,4 +267,4 @@ def _best(gains: Array) -> np.ndarray:
 
 def _say_off(channel: Channel, row: str, size: Array) -> str:
     amount = format_in_unit(size[0], channel.unit, "+")
-    return f"the reading of {channel.name} in row {row} seems to be off by {amount}: look at it, or leave it out"
+    return f"the reading of {channel.name} in row {row} seems to be off by {amount}: check or leave it out"

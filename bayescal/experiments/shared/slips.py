@@ -74,7 +74,7 @@ class MisstatedInput:
         """Return it in words."""
         if self.fault in (LARGE, EITHER):  # with all that is known of it
             return self.text
-        return f"{self.text} (the data are explained better by {format_significant(self.gain, 2)} nats)"
+        return f"{self.text} (fits {format_significant(self.gain, 2)} nats better)"
 
 
 def say_factor(factor: float | None) -> str:
@@ -88,7 +88,7 @@ def say_factor(factor: float | None) -> str:
 
 def tell_denial(field: str) -> str:
     """Return the end of a refusal: how to say that nothing has slipped."""
-    return f"; if the data are correct, list the false alarm in {field}: unit, legs, rows, poses, channel or frame"
+    return f"; if the data are correct, add to {field}: unit, legs, rows, poses, channel or frame"
 
 
 def split_advice(text: str) -> tuple[str, str]:

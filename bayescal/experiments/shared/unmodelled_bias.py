@@ -16,14 +16,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 FEW: Final = 12  # parameters that are shown one by one
-ALLOWED: Final = (
-    "An error that the parameters imitate leaves no trace in any data. Of errors as large as stated, {size}, this is "
-    "how far those without a trace put each parameter off (rms), beside its posterior sd, which allows for it."
-)
+ALLOWED: Final = "Bias from model errors ({size}, rms) that imitate parameters; posterior sds include it."
 BESIDE: Final = (
-    "An error that the parameters imitate leaves no trace in any data. Errors of {size} that leave none would put each "
-    "parameter off by this much (rms). Posterior sds do not allow for it: if such an error cannot be excluded, "
-    "state its size (floor_um in [model_error])."
+    "Bias from model errors ({size}, rms) that imitate parameters; posterior sds exclude it: state floor_um."
 )
 
 
@@ -53,7 +48,7 @@ def show_hidden(
     cells = [_list_cells(symbol, some, shown_in) for symbol, some in by_symbol.items()]
     return [
         said,
-        make_table("Bias from unmodelled errors, rms over legs or channels.", _list_columns("Symbol"), cells),
+        make_table("Bias from unmodelled errors, rms.", _list_columns("Symbol"), cells),
         Fold("Of each parameter", (make_table("Bias from unmodelled errors.", _list_columns("Parameter"), every),)),
     ]
 

@@ -15,7 +15,7 @@ from bayescal.report.numbers import format_significant, join_words
 FOLLOWED = 60  # steps
 NAMED = 4  # channels in a message
 COMMON = 5.0  # misfit of a row without one of its channels, in units of the others' median, up to which it is explained
-LOOK = "look at units, signs, zeros, order of channels and of rows"
+LOOK = "check units, signs, zeros, order of channels and rows"
 
 
 def check_reach(readings: VariantReadings, calibrating: VariantReadings | None = None) -> None:
@@ -46,7 +46,7 @@ def check_reach(readings: VariantReadings, calibrating: VariantReadings | None =
     if slip is not None:
         raise InputError(f"{said}; {slip.say()}")
     alone = alone or (_blame(readings, k) if 1 < n_lost <= data.n_poses / 2 else "")
-    raise InputError(f"{said}; without {alone} the row fits: look at that reading" if alone else f"{said}; {LOOK}")
+    raise InputError(f"{said}; without {alone} the row fits: check it" if alone else f"{said}; {LOOK}")
 
 
 def _find_lost(posterior: CalibrationPosterior) -> np.ndarray:
@@ -91,7 +91,7 @@ def _name_channels(posterior: CalibrationPosterior, row: int) -> str:
     channel = model.channels[worst]
     return (
         f"channel {channel.name} reads {likelihood.data.values[0, worst]:.6g} {channel.unit}, "
-        f"{format_significant(abs(raw[worst]), 3)} {channel.unit} from what it reads at the nearest pose"
+        f"{format_significant(abs(raw[worst]), 3)} {channel.unit} off the nearest pose"
     )
 
 

@@ -190,14 +190,14 @@ def read_model(config: SimulationConfig, folder: Path) -> ReadingModel:
         return place(legs, read_instruments(config.instruments, folder))
     for field, found in (("model", config.model), ("truth.deformation_matrix", matrix)):
         if found is not None:
-            raise InputError(f"{field}: found {found!r} beside a machine whose file says its kind, expected none")
+            raise InputError(f"{field}: found {found!r}, expected none with this machine file")
     return place(read_reading_model(path).with_optional(named), read_instruments(config.instruments, folder))
 
 
 def _read_mechanism(config: SimulationConfig, folder: Path, matrix: str | None) -> Legs:
     mechanism = load_mechanism(folder / config.machine)
     if config.model is None:
-        raise InputError("model: found none, expected the kinematic model of the mechanism")
+        raise InputError("model: missing, expected a kinematic model")
     n_legs = mechanism.n_legs
     bent = np.zeros((n_legs, n_legs)) if matrix is None else 1e-3 * read_matrix(folder / matrix, n_legs)
     chosen = choose_model(config.model, "model", folder)
@@ -298,8 +298,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     model = read_model(config, folder)
     if not isinstance(model, Legs):
         raise InputError(
-            f"machine: found {config.machine!r}, which has no legs, expected a mechanism, whose platform "
-            "[targets] and [instrument] see; any machine has [sensors] and [instruments]"
+            f"machine: found {config.machine!r} without legs, expected a mechanism for [targets] and "
+            "[instrument]; others take [sensors], [instruments]"
         )
     legs = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers
     machine, poses, targets = model.machine, config.poses, config.targets
@@ -307,8 +307,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     check_home_pose(machine)
     if targets is not None and targets.targets_per_pad and not isinstance(machine.deformation, MatrixDeformation):
         raise InputError(
-            f"targets.targets_per_pad: found {targets.targets_per_pad} on a machine with a deformation of its own, "
-            "expected a mechanism's file and truth.deformation_matrix, which pads follow"
+            f"targets.targets_per_pad: found {targets.targets_per_pad}, expected "
+            "truth.deformation_matrix with a mechanism's file"
         )
     tables = (poses.calibration, poses.verification)
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
@@ -325,7 +325,7 @@ def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
         n_stations = len(read_stations(folder / config.stations).names)
     bases = config.frames.base or [FrameTruthConfig()] * n_stations
     if len(bases) != n_stations:
-        raise InputError(f"instrument.frames.base: found {len(bases)} frames, expected {n_stations}, one per station")
+        raise InputError(f"instrument.frames.base: found {len(bases)} frames, expected {n_stations} (one per station)")
     return np.array([[*one.position_mm, *np.radians(one.rotation_deg)] for one in (*bases, config.frames.tool)])
 
 
@@ -378,10 +378,9 @@ def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Arr
         assert poses is not None
         file, row = (poses.calibration, k) if k < n_calibration else (poses.verification, k - n_calibration)
         raise NumericalError(
-            f"{file}: row {row + 1} below the header, pose {twin.names[k]!r}: found displacements "
-            f"{', '.join(f'{move:g}' for move in displacement[k])} mm, at which forward kinematics finds no pose, "
-            "expected ones that the machine can take: smaller ones, in the unit of unit_mm, columns in the order of "
-            "the machine's legs"
+            f"{file}: row {row + 1}, pose {twin.names[k]!r}: found displacements "
+            f"{', '.join(f'{move:g}' for move in displacement[k])} mm without a pose, expected "
+            "smaller ones, in unit_mm, in leg order"
         )
     return commanded, twin.legs.place_actuators(theta, read), found
 
@@ -458,7 +457,7 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
         ),
         "actuators.csv": format_actuators(survey.poses, survey.verification, survey.actuators, origin),
         "target_reference.csv": format_table(
-            [origin, "Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint."],
+            [origin, ("Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint.")],
             REFERENCE_COLUMNS,
             reference,
         ),
@@ -493,7 +492,7 @@ def _format_poses(
         columns += VALUES[3:]
         values = np.concatenate([position, np.degrees(rotation_vector_from_matrix(turned))], axis=1)
         deviations |= {f"sd_r{axis}_urad": round(sd / MICRORADIAN, 6) for axis in "xyz"}
-    comments = [origin, "Pose of the probe in the instrument's frame: position in mm, rotation vector in degrees."]
+    comments = [origin, ("Pose of the probe in the instrument's frame: position in mm, rotation vector in degrees.")]
     rows = [(name, *(f"{x:.8f}" for x in one), *deviations.values()) for name, one in zip(names, values, strict=True)]
     return format_table(comments, ["pose", *columns, *deviations], rows)
 
@@ -522,7 +521,7 @@ def _format_points(
         if there[s, p, q]
         for r, azimuth, elevation in [reading[s, p, q]]
     ]
-    comments = [origin, "Points on the platform as stations see them: range in mm, azimuth and elevation in degrees."]
+    comments = [origin, ("Points on the platform as stations see them: range in mm, azimuth and elevation in degrees.")]
     return format_table(comments, ["pose", "station", "point", *POLAR], rows)
 
 

@@ -81,7 +81,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
             (Statement(f"{format_count(len(rows))} parameters deviate from nominal.", lead="Truth", value=len(rows)),),
             (
                 PageSection("Files", (f"The data are in {files}.",)),
-                PageSection("Truth", (tabulate_rows("Parameters that deviate from nominal.", rows),)),
+                PageSection("Truth", (tabulate_rows("Deviations from nominal.", rows),)),
             ),
             key_figures=(
                 KeyFigure("Calibration poses", str(count["calibration"])),

@@ -37,7 +37,7 @@ class TruthConfig(Section):
     @model_validator(mode="after")
     def _check_one(self) -> Self:
         if (self.offsets is None) == (self.parameters is None):
-            raise ValueError("expected either offsets or parameters")
+            raise ValueError("expected offsets or parameters")
         return self
 
 
@@ -76,7 +76,7 @@ class TargetsConfig(Section):
     @model_validator(mode="after")
     def _check_pads(self) -> Self:
         if self.targets_per_pad and self.pad_radius_mm is None:
-            raise ValueError(f"found targets_per_pad {self.targets_per_pad} without pad_radius_mm, expected both")
+            raise ValueError(f"targets_per_pad {self.targets_per_pad}: expected pad_radius_mm with it")
         return self
 
 
@@ -211,7 +211,7 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
         needed, strange = (OF_PLATFORM[:3], OF_CHANNELS) if seen else (OF_CHANNELS[:2], OF_PLATFORM[1:])
         for name in needed:
             if not getattr(self, name):
-                expected = "it" if seen else "it, or [targets] or [instrument] of a machine on legs"
+                expected = "it" if seen else "it, or [targets] or [instrument] with legs"
                 raise ValueError(f"{name}: found none, expected {expected}")
         for name in strange:
             if name in self.model_fields_set:
@@ -223,9 +223,9 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
         parts = {"measurement_frame": self.measurement_frame, "noise.target_um": self.noise and self.noise.target_um}
         for name, value in parts.items():
             if self.targets is not None and value is None:
-                raise ValueError(f"{name}: found none beside targets, expected it")
+                raise ValueError(f"{name}: missing, expected it with targets")
             if self.instrument is not None and value is not None:
-                raise ValueError(f"{name}: found beside instrument, expected either")
+                raise ValueError(f"{name}: found with instrument, expected either")
         if self.targets is not None and self.instrument is not None:
-            raise ValueError("instrument: found beside targets, expected either")
+            raise ValueError("instrument: found with targets, expected either")
         return self

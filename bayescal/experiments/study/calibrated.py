@@ -82,7 +82,7 @@ def _format_commands(variant: Variant) -> str:
     columns = {f"{one.stem}_{one.unit}": read.get(one.name, np.full(data.n_poses, np.nan)) for one in channels}
     columns |= {name: np.asarray(value) for name, value in data.given.items()}
     written = ([repr(float(x)) if np.isfinite(x) else "" for x in one] for one in columns.values())
-    comments = ["Commands of the poses that calibrated the machine: where it is known, not extrapolated"]
+    comments = ["Commands of the calibration poses; elsewhere extrapolated"]
     return format_table(comments, ["pose", *columns], list(zip(data.poses, *written, strict=True)))
 
 
@@ -165,10 +165,7 @@ def calibrate_machine(
     solution = _choose_solution(results, chosen.name, mode)
     kept = results.folder / KEPT
     if experiment is None and not ("machine_folder" in results.summary and kept.is_dir()):
-        raise InputError(
-            f"{results.folder}: found results without their machine, which earlier versions did not write, expected "
-            "those of a new run, or the study's config: --experiment STUDY.toml"
-        )
+        raise InputError(f"{results.folder}: found no machine, expected a new run, or --experiment STUDY.toml")
     folder = kept / str(results.summary["machine_folder"]) if experiment is None else experiment.parent
     path = folder.with_segments(os.path.normpath(str(folder / (chosen.machine or config.machine))))
     covariance = None
@@ -272,15 +269,15 @@ def _choose_solution(results: Results, variant: str, mode: int | None) -> _Solut
     if mode is None and len(probability) > 1:
         modes = ", ".join(f"mode {k} with {100 * p:.1f} %" for k, p in enumerate(probability, start=1))
         raise InputError(
-            f"{results.folder}: variant {variant!r}: found {len(probability)} machines that explain the data "
-            f"({modes}), expected one of them: --mode 1"
+            f"{results.folder}: variant {variant!r}: found {len(probability)} solutions ({modes}), "
+            "expected one: --mode 1"
         )
     number = 1 if mode is None else mode
     if not 1 <= number <= len(probability):
         raise InputError(
             f"{results.folder}: --mode: found {number}, expected 1 to {len(probability)}"
             if len(probability) > 1
-            else f"{results.folder}: --mode: found {number}, expected none: variant {variant!r} has one solution"
+            else f"{results.folder}: --mode: found {number}, expected none: {variant!r} has one solution"
         )
     return _Solution(number, len(probability), probability[number - 1], "modes" in row or "other_modes" in row)
 
@@ -350,7 +347,7 @@ def _read_posterior(
     def place(values: Any, theta: Array) -> Array:
         for name in priors:
             if name not in values:
-                raise InputError(f"{results.folder}: found no parameter {name!r} in the posterior, expected it")
+                raise InputError(f"{results.folder}: found no parameter {name!r} in the posterior")
             places = [layout.names.index(member) for member in common.get(name, (name,))]
             theta[..., places] += (np.asarray(values[name]) - start[places[0]])[..., None]
         return theta
@@ -384,12 +381,12 @@ def _build_errors(results: Results, variant: str, model: ReadingModel) -> Comman
     if not len(model.commanded):  # all channels stand beside the machine, and the table has no row
         return CommandErrors(np.zeros((0, 0)), np.zeros(0))
     if table.empty:
-        raise InputError(f"{results.folder}: found no table {ERRORS}.csv, expected results of this version")
+        raise InputError(f"{results.folder}: found no table {ERRORS}.csv")
     mine = table[table["variant"] == variant]
     if list(mine["channel"]) != list(model.commanded):
         raise InputError(
-            f"{results.folder}: {ERRORS}.csv: found channels {', '.join(mine['channel'])}, expected those that are "
-            f"commanded: {', '.join(model.commanded)}"
+            f"{results.folder}: {ERRORS}.csv: found channels {', '.join(mine['channel'])}, expected "
+            f"{', '.join(model.commanded)}"
         )
     sd, tau = mine["noise"].to_numpy(dtype=float), mine["model_error"].to_numpy(dtype=float)
     columns = [f"correlation_{name}" for name in model.commanded]

@@ -49,10 +49,9 @@ def doubt_zero(inputs: ReadingInputs) -> list[str]:
         return []
     each = ", ".join(format_plain(one, 3) for one in mean)
     return [
-        f"the measured poses lie {format_significant(distance)} mm ({each}) from where the machine as drawn stands at "
-        f"the same actuator positions, alike to {format_significant(scatter)} mm: perhaps the instrument has another "
-        "zero than the base frame, the reflector another place than the platform's origin, or home_position is "
-        "another; wide tolerances would take it for geometry"
+        f"the measured poses lie {format_significant(distance)} mm ({each}) from nominal, common to "
+        f"{format_significant(scatter)} mm: perhaps a frame offset of instrument or reflector, or "
+        "home_position"
     ]
 
 

@@ -103,7 +103,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that data seem to be wrong, and that a posterior did not converge."""
-        wrong = ["the data seem to be wrong"] if results.summary.get("suspected_data_error") else []
+        wrong = ["probable data error"] if results.summary.get("suspected_data_error") else []
         return wrong if results.summary["converged"] else [*wrong, "not everything converged"]
 
     def measure(
@@ -146,7 +146,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
                     for variant in (candidate.name for candidate in list_candidates(one.summary))
                 ]
             except (KeyError, TypeError, AttributeError) as error:
-                raise InputError(f"{name}: is no study's results directory, {error} is missing") from error
+                raise InputError(f"{name}: expected a study's results; {error} is missing") from error
         self.check_comparable(data)
         table = pd.DataFrame(rows)
         sound = table["converged"] == "yes"  # the others come last and are not compared

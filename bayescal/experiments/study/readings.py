@@ -303,10 +303,10 @@ class ReadingSubject(PosteriorProblem):
         priors, data = self.posterior.all_priors().values(), likelihood.data
         log_prior = np.stack([prior.log_density(draws[..., k]) for k, prior in enumerate(priors)], axis=-1)
         log_prior -= np.log(factor)
-        stats: Variables = {"lp": ((), density, "nat", "log-density in the proposal's coordinates")}
+        stats: Variables = {"lp": ((), density, "nat", "log-density, proposal coordinates")}
         if len(fit.solutions.probability) > 1:
             label = 1 + self._thin(fit.solutions.label)
-            stats = {**stats, MODE: ((), label, "1", "to which of several solutions a draw belongs, from 1")}
+            stats = {**stats, MODE: ((), label, "1", "solution of a draw, from 1")}
         readings = ReadingLayout(
             tuple(data.poses), tuple(one.name for one in channels), tuple(one.unit for one in channels), data.present
         )

@@ -469,7 +469,7 @@ def format_poses(measured: Measured, origin: ProvenanceConfig) -> str:
     ]
     comments = [
         name_origin(origin.model_dump()),
-        "Pose of the platform frame in the base frame; position in mm, rotation vector in degrees.",
-        "cov: covariance of position (µm) and of the rotation vector (µrad) about the base axes.",
+        "Platform pose in the base frame; mm, rotation vector in degrees.",
+        "cov: covariance of position (µm) and rotation vector (µrad), base axes.",
     ]
     return format_table(comments, columns, rows)

@@ -71,7 +71,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
                 row.append(_format_errors(fit.get(use)))
             rows.append((*row, "yes" if fit["converged"] else "NO"))
     print_table(console, tuple(shown), rows)
-    errors = f"position error: mean / largest on the {use} poses; " if of_poses else ""
+    errors = f"position error, {use} poses: mean / largest " if of_poses else ""
     print_text(console, f"{errors}log-evidence in nats")
     for name, fit in summary["variants"].items():
         if fit.get("log_evidence_check") is not None:

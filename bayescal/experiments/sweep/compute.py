@@ -68,7 +68,7 @@ def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
     if all(look_up(summary, key) is None for key in keys):
         near = get_close_matches(keys[0], list_keys(summary), 1, 0.0)
         said = f", expected such as {near[0]!r}" if near else ""
-        raise InputError(f"figures: found none of {', '.join(keys)} in the summary of the first member{said}")
+        raise InputError(f"figures: found none of {', '.join(keys)} in the first summary{said}")
 
 
 def _read_row(config: SweepConfig, outcome: Outcome) -> list[Any]:

@@ -116,7 +116,7 @@ def compute_member(base: BaseExperiment, settings: tuple[Setting, ...]) -> Outco
         results = experiment.compute(inputs, Run())
         return Outcome.of("; ".join(experiment.list_failures(results)), results.summary)
     except MemoryError as error:  # another time, or on another machine, it may do: such an outcome is not kept
-        raise NumericalError("found no memory for it") from error
+        raise NumericalError("too little memory") from error
     except Exception as error:  # whatever it is, the other members go on, and it is listed
         known = isinstance(error, InputError | NumericalError | ArithmeticError | ValueError)  # LAPACK's are the last
         said = " ".join(str(error).split())
@@ -162,7 +162,7 @@ def _step(place: Any, part: str, key: str) -> Any:
         return place[part]
     if isinstance(place, list) and part.isdigit() and int(part) < len(place):
         return place[int(part)]
-    raise InputError(f"{key}: found no {part!r} there, expected a key of the config")
+    raise InputError(f"{key}: found no {part!r}, expected a key of the config")
 
 
 def find(content: Mapping[str, Any], key: str) -> Any:
@@ -262,7 +262,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
     for axis in config.axes:
         for file, _ in map(split_key, axis.keys):
             if file and file not in whole.files:
-                raise InputError(f"{axis.name}: found no file {file!r} that the experiment reads, expected one")
+                raise InputError(f"{axis.name}: found no input file {file!r}")
     return SweepInputs(config, folder, whole, experiment, tuple(sources), modules, extended, need)
 
 
@@ -272,7 +272,7 @@ def _read_base(config: SweepConfig, folder: Path) -> BaseExperiment:
     content, text = read_extended(path)
     kind = content.get("kind")
     if not isinstance(kind, str) or kind == config.kind:
-        raise InputError(f"{path}: kind: found {kind!r}, expected an experiment that is no sweep")
+        raise InputError(f"{path}: kind: found {kind!r}, expected no sweep")
     files = {file for axis in config.axes for file, _ in map(split_key, axis.keys) if file}
     contents = {name: _read_file(folder / name) for name in sorted({config.experiment, *files})}
     return BaseExperiment(
@@ -296,7 +296,7 @@ def _multiply(key: str, value: Any, factor: float) -> Any:
     if isinstance(value, list):
         return [_multiply(key, one, factor) for one in value]
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{key}: found {value!r}, expected numbers to multiply by factors")
+        raise InputError(f"{key}: found {value!r}, expected numbers")
     return value * factor
 
 
@@ -306,7 +306,7 @@ def _read_file(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}), expected a file of the experiment") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _list_extended(name: str, folder: Path) -> tuple[str, ...]:

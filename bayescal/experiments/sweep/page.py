@@ -59,7 +59,7 @@ def build_page(config: SweepConfig, results: Results) -> Page:
         _member_section(config, members),
     )
     facts = (("Experiment", summary["experiment"]), *((name_axis(axis), _span(axis)) for axis in config.axes))
-    origin = f"Base config {summary['experiment']}; only the listed keys vary."
+    origin = f"Base config {summary['experiment']}; only listed keys vary."
     first = f"{said[0].lead}: {said[0].text}" if said else _state_span(config.figures[0], summary)
     return Page(
         "Sweep",
@@ -169,7 +169,7 @@ def _answer_section(
         ]
         for row in answers
     ]
-    table = make_table("Where requirements are met; bounds are interpolated between neighbours.", columns, rows)
+    table = make_table("Where requirements are met (interpolated).", columns, rows)
     yield make_section("Required values", (), (table,))
 
 
@@ -198,9 +198,7 @@ def _failed_section(config: SweepConfig, members: pd.DataFrame) -> Iterator[Page
         [*(_cell(row.others[axis.name]) for axis in config.axes), row.state, row.reason]
         for row in SweepMemberRow.read(bad.head(MOST_ROWS))
     ]
-    yield make_section(
-        "Failed members", (), (make_table(_head("They failed, or did not converge", bad), columns, rows),)
-    )
+    yield make_section("Failed members", (), (make_table(_head("failed, or not converged", bad), columns, rows),))
 
 
 def _member_section(config: SweepConfig, members: pd.DataFrame) -> PageSection:

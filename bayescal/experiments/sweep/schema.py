@@ -46,7 +46,7 @@ class AxisConfig(Section):
         if len(given) != 1:
             raise ValueError(f"found {' and '.join(given) or 'none'}, expected one of values, factors and range")
         if (self.count is None) != (self.range is None):
-            raise ValueError("found one of range and count, expected both or none")
+            raise ValueError("expected range with count, or neither")
         if self.range is not None and self.scale == "log" and min(self.range) <= 0.0:
             raise ValueError(f"found range {self.range} on a log scale, expected positive numbers")
         return self
@@ -94,7 +94,7 @@ class FigureConfig(Section):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.at_most is not None and self.at_least is not None:
-            raise ValueError("found at_most and at_least, expected one of them")
+            raise ValueError("expected at_most or at_least")
         return self
 
     @property
@@ -136,10 +136,10 @@ class SweepConfig(ExperimentConfig):
         names = [axis.name for axis in self.axes] + [figure.key for figure in self.figures]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"found {name!r} twice among the axes' first keys and the figures, expected it once")
+                raise ValueError(f"found {name!r} twice among axes and figures, expected it once")
         counts = [len(axis.settings) for axis in self.axes]
         if self.mode == "zip" and len(set(counts)) > 1:
-            raise ValueError(f"found axes of {counts} entries to combine row by row, expected as many of each")
+            raise ValueError(f"found axes of {counts} entries, expected equal numbers")
         if self.mode == "grid" and (n := int(np.prod(counts, dtype=object))) > MAX_MEMBERS:
             raise ValueError(f"found {n} combinations, expected at most {MAX_MEMBERS}")
         return self

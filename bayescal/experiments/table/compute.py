@@ -48,7 +48,7 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     problems = estimate.list_problems()
     if problems and not inputs.config.allow_unconverged:
         found = f"variant {inputs.variant.name!r} did not converge ({'; '.join(problems)})"
-        raise NumericalError(f"{found}, expected one that did, or --allow-unconverged")
+        raise NumericalError(f"{found}; --allow-unconverged uses it")
     solution = _choose_solution(inputs, estimate)
     table = find_table(inputs, estimate.kept_of(solution), estimate.mode_of(solution))
     actuators = inputs.actuators.channels

@@ -97,12 +97,9 @@ def _read_study(config: TableConfig, path: Path) -> ReadingInputs:
     """Return the study with the table's variant alone; InputError for one without tables of readings."""
     _, found = load(path)
     if not isinstance(found, StudyConfig):
-        raise InputError(f"{path}: kind: found {found.kind!r}, expected 'study', of which a table is made")
+        raise InputError(f"{path}: kind: found {found.kind!r}, expected 'study'")
     if not found.by_tables:
-        raise InputError(
-            f"{path}: data: found an instrument's poses of legs, which depend on nothing but the pose: all places have "
-            "one correction, expected tables of readings"
-        )
+        raise InputError(f"{path}: data: found an instrument's poses: all places have one correction")
     return read_inputs(found, path.parent, [choose_variant(config.variant, found, path)])
 
 
@@ -111,15 +108,14 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     known = variant.whole.given
     if not known:
         raise InputError(
-            f"axes: found {', '.join(config.axes)}, but what this machine reads depends on its pose alone: all places "
-            "have one correction, expected a machine that names what is given"
+            f"axes: found {', '.join(config.axes)}, which no reading depends on: all places have one correction"
         )
     for name in (*config.axes, *config.reference):
         if name not in known:
             raise InputError(f"axes: found {name!r}, expected some of {', '.join(known) or 'none'}")
     for name in known:
         if name not in config.reference:
-            raise InputError(f"reference: found no {name}, expected it, for the machine has to know it")
+            raise InputError(f"reference: found no {name}, expected it")
     return {name: float(config.reference[name]) for name in known}
 
 
@@ -147,7 +143,7 @@ def _check_places(found: TableInputs) -> None:
             found.variant.whole.check_given(labels, given, ())
         read = found.variant.model.read(found.variant.posterior().first_machine, found.pose, given)
         for k in np.flatnonzero(~np.isfinite(read).all(axis=-1))[:1]:
-            raise InputError(f"{field}: found {labels[k]}, where the machine cannot be, expected where it can")
+            raise InputError(f"{field}: found unreachable {labels[k]}, expected reachable poses")
 
 
 def _check_told(found: TableInputs) -> None:
@@ -157,8 +153,8 @@ def _check_told(found: TableInputs) -> None:
     values = np.linalg.svd(slope, compute_uv=False) if len(slope) else np.zeros(1)
     if len(slope) < len(found.pose) or values[-1] <= RANK * values[0]:
         raise InputError(
-            f"variant {found.variant.name!r}: found {len(slope)} readings of the machine's own, which do not determine "
-            f"all {len(found.pose)} coordinates, expected actuators that hold the platform"
+            f"variant {found.variant.name!r}: found {len(slope)} own readings, expected enough for "
+            f"{len(found.pose)} coordinates"
         )
 
 
@@ -264,7 +260,7 @@ def fit_polynomial(terms: Mapping[str, Array], correction: Array) -> Polynomial:
 def format_polynomial(found: Polynomial, actuators: Sequence[str], units: Sequence[str]) -> str:
     """Return a polynomial as JSON."""
     content = {
-        "about": "correction of an actuator = sum of coefficient times term; angles of columns in degrees",
+        "about": "correction = sum of coefficient times term; angles in degrees",
         "terms": list(found.terms),
         "actuators": list(actuators),
         "units": list(units),

@@ -39,12 +39,12 @@ class LookUpTable(DerivedExperiment[TableConfig, TableInputs]):
                 *list_variant(variant),
                 *list_sampling(config.sampler, config.evidence, n_parameters),
             ],
-            "fewer values of its axes",
+            "fewer axis values",
         )
 
     def list_failures(self, results: Results) -> list[str]:
         """Return that the study's data seem to be wrong."""
-        return ["the study's data seem to be wrong"] if results.summary.get("suspected_data_error") else []
+        return ["probable data error in the study"] if results.summary.get("suspected_data_error") else []
 
     def suspect(self, inputs: TableInputs) -> list[str]:
         """Return what seems to have happened to readings that one slip explains far better than errors do."""

@@ -73,8 +73,8 @@ def state_headline(summary: dict[str, Any]) -> str:
     worth = any(one["max_offset"] > one["max_half_width_90"] for one in summary["coordinates"].values())
     if "suspected_data_error" in summary:
         return write_headline([say_data_first(summary["suspected_data_error"]["text"])])
-    advice = "Correct by the table" if worth and summary["converged"] else "Do not correct by the table yet"
-    return write_headline([advice, f"Offsets up to {moves} are predicted to ±{known} (90 %)"])
+    advice = "Correct by the table" if worth and summary["converged"] else "Do not use the table yet"
+    return write_headline([advice, f"Offsets up to {moves}, known to ±{known} (90 %)"])
 
 
 def _list_key_figures(tables: Mapping[str, pd.DataFrame], summary: dict[str, Any]) -> list[KeyFigure]:
@@ -124,10 +124,10 @@ def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Sta
     found = state_slip(summary)
     if not summary["converged"]:
         problems = [str(one) for one in summary["problems"]]
-        text = f"The posterior did not converge: {problems[0] if problems else 'not converged'}."
+        text = f"Not converged: {(problems[0] if problems else 'see the study')}."
         found.append(Statement(text, "bad", "Convergence", value=len(problems), limit=0.0))
     now, prior, unit = summary["posterior_sd"], summary["prior_sd"], _unit(summary)
-    text = f"Correction sd {_amount(now, unit)} (rms over the table); prior {_amount(prior, unit)}."
+    text = f"Correction sd {_amount(now, unit)} (rms); prior {_amount(prior, unit)}."
     level: Level = "good" if now < 0.5 * prior else "warning"
     found.append(_state_amount(text, level, "Error", unit, now, prior))
     return [*found, _state_terms(summary), _state_elsewhere(summary), _state_plan(tables, summary)]
@@ -147,7 +147,7 @@ def _state_terms(summary: dict[str, Any]) -> Statement:
     misfit = max(one["polynomial_misfit"] for one in summary["actuators"].values())
     sd = max(one["max_sd"] for one in summary["actuators"].values())
     unit = _unit(summary)
-    text = f"Largest error of the polynomial {_amount(misfit, unit)}; largest correction sd {_amount(sd, unit)}."
+    text = f"Polynomial error ≤ {_amount(misfit, unit)}; correction sd ≤ {_amount(sd, unit)}."
     level: Level = "good" if misfit <= NEGLIGIBLE_ERROR_FRACTION * sd else "plain" if misfit <= sd else "warning"
     return _state_amount(text, level, "Formula", unit, misfit, sd)
 
@@ -155,7 +155,7 @@ def _state_terms(summary: dict[str, Any]) -> Statement:
 def _state_elsewhere(summary: dict[str, Any]) -> Statement:
     other, unit = max(one["max_difference_elsewhere"] for one in summary["actuators"].values()), _unit(summary)
     sd = max(one["max_sd"] for one in summary["actuators"].values())
-    text = f"At other poses of the workspace corrections differ by up to {_amount(other, unit)}."
+    text = f"Elsewhere in the workspace corrections differ by up to {_amount(other, unit)}."
     return _state_amount(text, "plain" if other <= 2.0 * sd else "warning", "Elsewhere", unit, other, 2.0 * sd)
 
 
@@ -164,7 +164,7 @@ def _state_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sta
     before, after = summary["sd_before_plan"], summary["sd_after_plan"]
     what = "more measurements" if summary["plan_include_existing_data"] else "measurements"
     only = " only" if after > (1.0 - LITTLE) * before else ""
-    text = f"{len(plan)} {what} reduce the correction sd from {_amount(before, unit)} to {_amount(after, unit)}{only}."
+    text = f"{len(plan)} {what}: correction sd {_amount(before, unit)} to {_amount(after, unit)}{only}."
     return _state_amount(text, "plain", "Next", unit, after, before)
 
 
@@ -174,7 +174,7 @@ def _state_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sta
 def _show_offsets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
     figure = Figure(
         "offsets",
-        "Offsets of the pose with their 90 % intervals; zero is the reference.",
+        "Pose offsets from the reference, 90 % intervals.",
         partial(draw_offsets, tables["offsets"], list(summary["axes"])),
     )
     return make_section("Pose offsets", (), (), (figure,))
@@ -215,7 +215,7 @@ def _list_curves(rows: pd.DataFrame, axes: list[str]) -> list[tuple[str, pd.Data
 
 
 def _show_corrections(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
-    text = ("Files: lookup.csv for the controller, corrections.csv, correction_covariance.csv.",)
+    text = ("Files: lookup.csv, corrections.csv, correction_covariance.csv.",)
     return make_section("Actuator corrections", text, (_tabulate(tables["corrections"], list(summary["axes"])),))
 
 
@@ -228,7 +228,7 @@ def _tabulate(corrections: pd.DataFrame, axes: list[str]) -> Table:
     for _, mine in corrections.groupby(axes, sort=False):
         cells = [format_estimate(factor * row.mean, factor * row.sd) for row in CorrectionRow.read(mine)]
         rows.append([*(format_plain(float(value)) for value in mine[axes].iloc[0]), *cells])
-    caption = "Corrections, mean ± standard deviation"
+    caption = "Corrections, mean ± sd"
     caption += f"; the first {FEW_ROWS} places of {len(rows)}." if len(rows) > FEW_ROWS else "."
     return make_table(caption, columns, rows[:FEW_ROWS])
 
@@ -243,8 +243,8 @@ def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pag
         cells = [format_estimate(factor * row.coefficient, factor * row.sd) for row in PolynomialTermRow.read(mine)]
         rows.append([str(term), *cells])
     misfit = [format_significant(factor * summary["actuators"][name]["polynomial_misfit"], 2) for name in names]
-    rows.append(["misses the table by at most", *misfit])
-    text = ("Polynomial approximation, zero at the reference; with covariances in polynomial.json.",)
+    rows.append(["largest deviation", *misfit])
+    text = ("Polynomial; covariances in polynomial.json.",)
     return make_section("Polynomial fit", text, (make_table("Coefficients, mean ± sd.", columns, rows),))
 
 
@@ -261,5 +261,5 @@ def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Page
         at = [format_plain(x) if name in axes else format_significant(x, 4) for name, x in row.others.items()]
         rows.append([str(row.order), *at, *errors])
     drop = format_percent(1.0 - summary["sd_after_plan"] / summary["sd_before_plan"])
-    text = (f"Greedy I-optimal choice; all together reduce the rms correction sd by {drop}.",)
-    return make_section("Where to measure next", text, (make_table("Measurements, the best first.", columns, rows),))
+    text = (f"Greedy I-optimal choice; correction sd −{drop}.",)
+    return make_section("Next measurements", text, (make_table("Measurements.", columns, rows),))

@@ -50,7 +50,7 @@ class TableConfig(OfAnotherConfig):
     def _check_axes(self) -> Self:
         for name, values in self.axes.items():
             if name not in self.reference:
-                raise ValueError(f"reference: found no {name}, expected one, since it is an axis")
+                raise ValueError(f"reference: found no {name}, expected it as an axis")
             if any(not low < high for low, high in pairwise(values)):
-                raise ValueError(f"axes.{name}: found values that do not rise, expected each larger than the last")
+                raise ValueError(f"axes.{name}: found values that do not rise")
         return self

@@ -68,7 +68,7 @@ def _differentiate_shift(cosine: Array, flexure_length: Array, beta: Array) -> t
 def require_flexures(mechanism: Mechanism, model: str) -> Flexures:
     """Return the mechanism's flexures; InputError where it has none."""
     if mechanism.flexures is None:
-        raise InputError(f"mechanism {mechanism.name!r}: found no [flexures], expected them for the {model} model")
+        raise InputError(f"mechanism {mechanism.name!r}: found no [flexures], expected them for {model}")
     return mechanism.flexures
 
 

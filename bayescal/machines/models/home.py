@@ -129,8 +129,8 @@ def guess_level_pose(lower: Array, platform_points: Array, leg_lengths: Array, s
         leg = int(np.argmin(reach))
         apart = float(np.linalg.norm(horizontal[leg] - centre))
         raise InputError(
-            f"leg {leg + 1} of {leg_lengths[leg]:g} mm cannot span its joints, which are {apart:.4g} mm apart "
-            f"horizontally with the platform level over the middle of its legs, expected longer legs or [home]"
+            f"leg {leg + 1} of {leg_lengths[leg]:g} mm cannot span its joints, {apart:.4g} mm apart, "
+            "expected longer legs or [home]"
         )
     heights = lower[:, 2] - np.sqrt(reach) if start.below else lower[:, 2] + np.sqrt(reach)
     height = np.mean(heights - platform_points[:, 2])

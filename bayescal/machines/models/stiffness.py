@@ -277,9 +277,7 @@ class Stiffness(HomeModel):
         """Return the model of a mechanism with six legs and flexures of known stiffness."""
         flexures = require_flexures(mechanism, cls.name)
         if flexures.section is None or flexures.leg_section is None:
-            raise InputError(
-                f"mechanism {mechanism.name!r}: found no [stiffness], expected it for the {cls.name} model"
-            )
+            raise InputError(f"mechanism {mechanism.name!r}: found no [stiffness], expected it for {cls.name}")
         if mechanism.n_legs != DEGREES_OF_FREEDOM:
             raise InputError(
                 f"mechanism {mechanism.name!r}: found {mechanism.n_legs} legs, expected {DEGREES_OF_FREEDOM} "

@@ -592,10 +592,10 @@ class ReadingModel(ABC):
         channels = [self.channels[k] for k in self.select(self.commanded)]
         for channel, value, (low, high) in zip(channels, commands, self.command_range, strict=True):
             if not np.isfinite(value):
-                return f"{channel.name} has no value there: the machine does not reach it"
+                return f"{channel.name} is unreachable there"
             if not low - SLACK <= value <= high + SLACK:
                 return f"{channel.name} would be {value:.6g} {channel.unit}, its range is {low:g} to {high:g}"
-        return "" if returned else "only on another assembly branch than home's, or where the machine is singular"
+        return "" if returned else "only on another assembly branch, or singular"
 
     @property
     def pose_scale(self) -> Array:
@@ -634,7 +634,7 @@ class ReadingModel(ABC):
             found = {other for other in self.names if name in (other, other.partition("[")[0])}
             found = found or self._names_of_instrument(name)
             if not found:
-                raise InputError(f"sensor {name!r}: unknown here, expected some of {', '.join(self.names)}")
+                raise InputError(f"sensor {name!r}: expected some of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
 

@@ -55,9 +55,9 @@ def check_members(name: str, machine: ReadingMachine) -> None:
         names = [one.symbol if isinstance(one, ParameterBlock) else one.name for one in found]
         for one_name in names:
             if names.count(one_name) > 1:
-                raise InputError(f"{where}: {member}: found {one_name!r} twice, expected each name once")
+                raise InputError(f"{where}: {member}: found {one_name!r} twice, expected unique names")
     if not machine.parameters or not machine.channels:
-        raise InputError(f"{where}: found no parameter or no channel, expected at least one of each")
+        raise InputError(f"{where}: expected at least one parameter and one channel")
     _check_rotations(f"{where}: channels", machine.channels)
     known = {name for one in machine.channels for name in (one.name, one.kind)}
     for name in machine.commanded:
@@ -71,9 +71,7 @@ def check_tool(model: FunctionModel) -> None:
     machine = model.machine
     where = f"machine {model.name!r}: class {type(machine).__name__}: tool"
     if model.has_own_tool and not machine.tool_channels:
-        raise InputError(
-            f"{where}: found no tool_channels, expected names and units of what it returns, each a Channel"
-        )
+        raise InputError(f"{where}: found no tool_channels, expected a Channel for each number")
     for one in machine.tool_channels:
         if not isinstance(one, Channel):
             raise InputError(f"{where}_channels: found {one!r}, expected a Channel")
@@ -118,8 +116,8 @@ def check_values(model: FunctionModel) -> None:
     stacked = _read(model, where, *many)
     if stacked.shape != (POINTS, POINTS, n):
         raise InputError(
-            f"{where}: found shape {stacked.shape} for {POINTS} machines at {POINTS} poses, expected "
-            f"{(POINTS, POINTS, n)} {_describe_shapes(model, *many)}: it must take any leading axes"
+            f"{where}: found shape {stacked.shape} for {POINTS} machines and poses, expected "
+            f"{(POINTS, POINTS, n)} {_describe_shapes(model, *many)}: any leading axes"
         )
 
 
@@ -151,7 +149,7 @@ def _call[Result](where: str, expected: str, function: Callable[[], Result]) -> 
 def _read(model: FunctionModel, where: str, theta: Any, pose: Any, given: Given) -> Array:
     analytic = np.iscomplexobj(theta)
     shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(model.channels))
-    hint = "; bayescal.numerics.analytic has functions that take complex numbers" if analytic else ""
+    hint = "; see bayescal.numerics.analytic" if analytic else ""
     expected = f"readings {shape} {_describe_shapes(model, theta, pose, given)}{hint}"
     return _call(where, expected, lambda: np.asarray(model.evaluate(theta, pose, given)))
 
@@ -179,9 +177,10 @@ def check_derivatives(model: FunctionModel) -> None:
     for entry, point, k in np.argwhere(wrong)[:1]:
         names = (*model.layout.names, *(one.name for one in model.coordinates))
         raise InputError(
-            f"{where}: {model.channels[k].name}: found ∂/∂{names[entry]} = {exact[entry, point, k]:.6g} by "
-            f"complex step and {slope[entry, point, k]:.6g} by differences, expected an analytic function; "
-            "abs, norm and arctan2 of NumPy are none, those of bayescal.numerics.analytic are"
+            f"{where}: {model.channels[k].name}: found ∂/∂{names[entry]} = "
+            f"{exact[entry, point, k]:.6g} by complex step, {slope[entry, point, k]:.6g} by "
+            "differences, expected an analytic function: abs, norm and arctan2 of "
+            "bayescal.numerics.analytic"
         )
 
 

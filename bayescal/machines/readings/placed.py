@@ -559,12 +559,9 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     for name, one in instruments.items():
         with name_faults(f"instruments.{name}"):
             for symbol in one.unstated:
-                raise InputError(f"{symbol}: found no value, expected one: only a study finds it from its data")
+                raise InputError(f"{symbol}: expected a value: only a study estimates it")
             if not machine.places_tool:
-                raise InputError(
-                    f"sees where the tool is, machine {title!r} does not say it; expected tool_channels of its class, "
-                    "up to three in mm"
-                )
+                raise InputError(f"machine {title!r}: expected tool_channels of its class, up to three in mm")
             home = bare._place_tool(machine.tool_values(machine.layout.nominal, machine.home_pose), machine.home_pose)
             one.coordinates = [
                 Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(POSE)
@@ -572,13 +569,13 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
             model = FunctionModel(name, one)
             if model.pattern[:, model.layout.size + 3 :].any() and not bare.tells_rotation:
                 raise InputError(
-                    f"sees how the tool is turned, machine {title!r} gives no rotation; expected a rotation vector "
-                    "among tool_channels of its class, or an instrument that sees the tool's centre alone"
+                    f"machine {title!r}: expected a rotation vector in tool_channels, or an "
+                    "instrument of the tool's centre"
                 )
             placed.append(model)
     found = InstrumentedMachine(machine, tuple(placed))
     for names in (found.layout.symbols, tuple(one.stem for one in found.channels)):  # by which columns name channels
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"instruments: found {name!r} twice, expected instruments of other names")
+                raise InputError(f"instruments: found {name!r} twice, expected unique names")
     return found

@@ -80,7 +80,7 @@ class SlidingPlatform(ReadingMachine):
         self.name = config.name
         points = np.array([leg.platform_point_mm for leg in config.legs])
         if len(points) < 2 or np.allclose(points[0], points[1]):
-            raise InputError(f"machine {self.name!r}: found B_1 and B_2 in one place, expected them apart")
+            raise InputError(f"machine {self.name!r}: found B_1 and B_2 in one place")
         turned = float(np.arctan2(*(points[1] - points[0])[::-1]))
         own = matrix_of_angle(np.array(-turned))
         angle = float(np.radians(config.home.angle_deg)) + turned
@@ -183,8 +183,9 @@ class SlidingPlatform(ReadingMachine):
         if short.any():
             k, leg = np.argwhere(short.T)[0]
             raise InputError(
-                f"machine {self.name!r}: {name(int(k))}: leg {leg + 1} cannot reach it, found "
-                f"{abs(legs.across[leg, k]):.4g} mm from its guide, expected at most {self.leg_lengths[leg]:g} mm"
+                f"machine {self.name!r}: {name(int(k))}: leg {leg + 1}: found "
+                f"{abs(legs.across[leg, k]):.4g} mm from its guide, expected at most "
+                f"{self.leg_lengths[leg]:g} mm"
             )
         e_x, e_y = legs.guide
         ends = pose[..., :2] + np.stack(legs.arm, axis=-1)
@@ -193,10 +194,7 @@ class SlidingPlatform(ReadingMachine):
         for i, j in combinations(range(self.n_legs), 2):
             crossed = np.flatnonzero(segments_cross(foot[i], ends[i], foot[j], ends[j]))
             if len(crossed):
-                raise InputError(
-                    f"machine {self.name!r}: {name(int(crossed[0]))}: legs {i + 1} and {j + 1} cross, "
-                    "expected legs that do not"
-                )
+                raise InputError(f"machine {self.name!r}: {name(int(crossed[0]))}: legs {i + 1} and {j + 1} cross")
 
 
 def matrix_of_angle(angle: Array) -> Array:

@@ -204,7 +204,7 @@ class StrutMachine(ReadingMachine):
         """Raise InputError for elevations and temperatures that are none, or that do not tell what is free."""
         elevation, temperature = given[ELEVATION], given[TEMPERATURE]
         if 0.0 < elevation.max(initial=0.0) <= LONGEST_RADIANS:
-            raise InputError(f"{ELEVATION}: found none above {elevation.max():g}, expected degrees; radians perhaps")
+            raise InputError(f"{ELEVATION}: found none above {elevation.max():g}, expected degrees")
         for k in np.flatnonzero(~((elevation >= 0.0) & (elevation <= UPRIGHT)))[:1]:
             raise InputError(f"pose {poses[k]!r}: {ELEVATION}: found {elevation[k]:g}, expected 0 to 90 degrees")
         for k in np.flatnonzero(~(np.abs(temperature) <= HOTTEST))[:1]:
@@ -229,10 +229,7 @@ def _check_told(column: str, values: Array, free: Sequence[str], starts: tuple[s
     """Raise InputError where a column is constant while something is free that only its changes tell."""
     asked = [name for name in free if name.startswith(starts)]
     if asked and np.ptp(values) < LEAST_CHANGE[column]:
-        raise InputError(
-            f"{column}: found {values[0]:g} at every pose while {asked[0]} is free, expected more than one value, or "
-            f"{asked[0]} fixed"
-        )
+        raise InputError(f"{column}: found {values[0]:g} at every pose, expected several values, or {asked[0]} fixed")
 
 
 def _single(symbol: str, value: float, unit: str) -> ParameterBlock:

@@ -213,6 +213,6 @@ def check_rank(rows: Array) -> None:
     rank = int(np.sum(values > RANK_TOLERANCE * values[0])) if values.size else 0
     if rank < n:
         raise InputError(
-            f"candidates: found that all of them together determine {rank} of {n} parameters, "
-            "expected all; fix some parameters or take a Bayesian criterion"
+            f"candidates: found {rank} of {n} parameters determined, expected all; fix some, or use a "
+            "Bayesian criterion"
         )

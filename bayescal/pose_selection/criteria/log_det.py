@@ -76,8 +76,8 @@ class O1(ObservabilityCriterion, LogDet):
     """O1 = (σ_1 … σ_L)^(1/L) / √n."""
 
     name: ClassVar[str] = "O1"
-    title: ClassVar[str] = "Geometric mean of the singular values"
-    source: ClassVar[str] = "Menq, Borm and Lai 1989; Borm and Menq 1991"
+    title: ClassVar[str] = "Geometric mean of singular values"
+    source: ClassVar[str] = "Menq, Borm and Lai 1989"
 
     def from_log_det(self, log_det: Array, n_poses: int, n_parameters: int) -> Array:
         """Return O1."""
@@ -93,7 +93,7 @@ class DOptimality(BayesianCriterion, LogDet):
 
     name: ClassVar[str] = "D"
     title: ClassVar[str] = "Information gained, nats"
-    source: ClassVar[str] = "Lindley 1956; Chaloner and Verdinelli 1995: Bayesian D-optimality"
+    source: ClassVar[str] = "Bayesian D-optimality (Lindley 1956)"
 
     def from_log_det(self, log_det: Array, n_poses: int, n_parameters: int) -> Array:
         """Return half of log det(1 + Λ)."""

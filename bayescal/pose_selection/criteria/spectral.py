@@ -219,7 +219,7 @@ class O5(Spectral):
     """O5 = 1 / Σ 1/σ_i."""
 
     name: ClassVar[str] = "O5"
-    title: ClassVar[str] = "Harmonic mean of the singular values over their number"
+    title: ClassVar[str] = "Harmonic mean of singular values / number"
     source: ClassVar[str] = "Sun and Hollerbach 2008"
 
     def _slopes(self, values: Array) -> Array:

@@ -71,15 +71,13 @@ class AOptimality(BayesianTrace):
     chosen: tuple[int, ...] = ()  # which free parameters count; all where it is empty
 
     name: ClassVar[str] = "A"
-    title: ClassVar[str] = "Mean posterior variance of the parameters, share of the prior's, negative"
-    source: ClassVar[str] = "Chaloner 1984; Chaloner and Verdinelli 1995: Bayesian A-optimality"
+    title: ClassVar[str] = "Mean posterior variance / prior variance, negative"
+    source: ClassVar[str] = "Bayesian A-optimality (Chaloner 1984)"
 
     def weight_root(self, n_parameters: int) -> Array:
         """Return the rows of the identity that count, over the root of their number."""
         if any(not 0 <= k < n_parameters for k in self.chosen):
-            raise InputError(
-                f"criterion A: found parameters {self.chosen}, expected numbers from 0 to {n_parameters - 1}"
-            )
+            raise InputError(f"criterion A: found parameters {self.chosen}, expected 0 to {n_parameters - 1}")
         picked = list(self.chosen) or list(range(n_parameters))
         return np.eye(n_parameters)[picked] / np.sqrt(len(picked))
 
@@ -93,8 +91,8 @@ class IOptimality(BayesianTrace):
     limits: Array
 
     name: ClassVar[str] = "I"
-    title: ClassVar[str] = "Mean variance of the predicted pose in units of the limits, negative"
-    source: ClassVar[str] = "Box and Draper 1959 (mean variance of the response); Chaloner 1984 (prior)"
+    title: ClassVar[str] = "Mean pose variance / limits, negative"
+    source: ClassVar[str] = "Box and Draper 1959; Chaloner 1984 (prior)"
 
     @classmethod
     def from_config(cls, config: Any, purpose: Purpose) -> Self:
@@ -106,7 +104,7 @@ class IOptimality(BayesianTrace):
         """Check the limits."""
         if self.limits.shape != (6,) or not np.all(self.limits > 0.0) or not np.any(np.isfinite(self.limits)):
             listed = ", ".join(f"{x:g}" for x in self.limits.ravel())
-            raise InputError(f"criterion I: found limits {listed}, expected six above zero, one of them finite")
+            raise InputError(f"criterion I: found limits {listed}, expected six > 0, one finite")
 
     @cached_property
     def _root(self) -> Array:

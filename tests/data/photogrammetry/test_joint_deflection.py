@@ -106,9 +106,9 @@ def test_input_errors_of_the_measurement():
     fit = fit_rigid_body(rigid, on_body, NOISE)
     empty = on_ring.copy()
     empty[1, leg == 3] = np.nan
-    with pytest.raises(InputError, match="fit 1: found no seen target on the pad of leg 3"):
+    with pytest.raises(InputError, match="fit 1: pad of leg 3: "):
         measure_joint_deflection(fit, ring, empty, leg, NOISE, N_LEGS)
-    with pytest.raises(InputError, match="every leg from 1 to 6"):
+    with pytest.raises(InputError, match="expected 1 to 6"):
         measure_joint_deflection(fit, ring, on_ring, np.minimum(leg, 5), NOISE, N_LEGS)
     with pytest.raises(InputError, match="expected \\(24, 3\\)"):
         measure_joint_deflection(fit, ring[1:], on_ring, leg, NOISE, N_LEGS)
@@ -160,7 +160,7 @@ def test_input_errors_of_the_models():
     rng = np.random.default_rng(12)
     actuator = rng.uniform(-3, 3, (9, 6))
     ring = correlated_ring(np.eye(6), actuator, np.eye(6), rng)
-    with pytest.raises(InputError, match="found 9 poses with actuator displacements in 2 independent directions"):
+    with pytest.raises(InputError, match="found 9 poses of rank 2"):
         fit_matrix_deformation(ring, actuator[:, :2] @ rng.uniform(-1, 1, (2, 6)))
     five = JointDeflection(ring.displacement[:5], ring.covariance[:5])
     with pytest.raises(InputError, match="found 5 poses"):

@@ -70,9 +70,9 @@ def test_tiny_survey_reads(folder):
         (0, "C02,base,B03", "C02,base,B03,", "C02,base,B03,oops", "x_mm: found 'oops"),
         (0, "C02,base,B03", "C02,base,B03,", "C02,base,B03,,", "found 7 cells, expected 6"),
         (0, "C02,base,B03", "base", "bass", "body: found 'bass', expected one of base, platform"),
-        (0, "C02,base,B03", "B03", "B99", "base target 'B99' is not in"),
+        (0, "C02,base,B03", "B03", "B99", "base target 'B99': not in"),
         (0, "C02,base,B03", "B03", "B02", "pose/body/target 'C02/base/B02' is already on line"),
-        (0, "C02,base,B03", "C02", "C99", "pose 'C99' is not in"),
+        (0, "C02,base,B03", "C02", "C99", "pose 'C99': not in"),
         (0, "C02,base,B03", "C02", "", "pose: found an empty cell, expected a name"),
         (1, "pose,use", "rho_6_mm", "rho_6_um", "found column 'rho_6_um', did you mean 'rho_6_mm'?"),
         (1, "pose,use", ",rho_6_mm", "", "found no column 'rho_6_mm'"),
@@ -113,8 +113,8 @@ def hide(body):
 
 FAULTS = {
     "no targets": (0, lambda row: None if row[0] == "C05" else row, 1, "found no targets of pose 'C05'"),
-    "no actuators": (1, lambda row: None if row[0] == "C05" else row, 0, "pose 'C05' is not in"),
-    "no calibration": (1, lambda row: [row[0], "verification", *row[2:]], 1, "found no calibration pose, expected at"),
+    "no actuators": (1, lambda row: None if row[0] == "C05" else row, 0, "pose 'C05': not in"),
+    "no calibration": (1, lambda row: [row[0], "verification", *row[2:]], 1, "found no calibration pose"),
     **{
         f"two on the {body}": (
             0,
@@ -131,7 +131,7 @@ FAULTS = {
         "found 0 rigid targets on the platform, expected at least 3",
     ),
     **{
-        f"a line on the {body}": (2, on_a_line(body), 2, f"the rigid targets of the {body} lie on a line")
+        f"a line on the {body}": (2, on_a_line(body), 2, f"rigid targets of the {body} lie")
         for body in ("base", "platform")
     },
     "one point": (2, lambda row: [*row[:3], "1", "2", "3"] if row[0] == "base" else row, 2, "lie on a line"),
@@ -155,7 +155,7 @@ def test_collinear_as_seen(folder):
     )
     assert read(folder).base.reference.shape == (7, 3)
     change_rows(folder / FILES[0], lambda row: None if row[:2] == ["C06", "base"] and row[2] not in on_line else row)
-    assert "pose 'C06': the base's seen targets lie on a line" in fail(folder, FILES[0])
+    assert "pose 'C06': seen" in fail(folder, FILES[0])
 
 
 # --- targets that are measured, but wrong ----------------------------------------------------------------------------
@@ -285,6 +285,6 @@ def test_no_mutation_of_a_file_ends_in_a_traceback(folder):
             refused += 1
             assert found.exit_code in (2, 3)
             assert "\n" not in str(found)
-            assert re.search("expected|cannot|not valid TOML", str(found)), found
+            assert re.search("expected|cannot|not valid TOML|: not ", str(found)), found
         (folder / name).write_text(text)
     assert 0.4 * N_MUTATIONS < refused < N_MUTATIONS

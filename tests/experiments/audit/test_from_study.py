@@ -145,15 +145,15 @@ def test_audit_of_a_study_runs_with_its_what_ifs(design):
     ("old", "new", "said"),
     [
         ('deformation = "matrix"', 'deformation = "linear"', "found no six_pus/linear, expected one of six_pus/none"),
-        ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found it beside [data], expected none"),
-        ("seed = 5", 'seed = 5\nmachine = "other.toml"', "found machine beside [data], expected none"),
+        ("[[variants]]", '[[variants]]\nfree = ["l"]', "variants.free: found with [data]"),
+        ("seed = 5", 'seed = 5\nmachine = "other.toml"', "found machine with [data]"),
         (
             "seed = 5",
             'seed = 5\nscenarios = [{ name = "w", sensors = ["rho"] }]',
-            "scenario 'w': sensors: found them beside [data]",
+            "scenario 'w': sensors: found with [data]",
         ),
-        ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses beside [data], expected none"),
-        ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found sensors beside [data], expected none"),
+        ("seed = 5", "seed = 5\nposes = { count = 9 }", "found poses with [data]"),
+        ("[data]", "[noise]\nactuator_um = 1.0\n[data]", "found sensors with [data]"),
         ("tiny/study.toml", "tiny/nowhere.toml", "nowhere.toml"),
         ("tiny/study.toml", "simulate.toml", "kind: found 'simulation', expected 'study'"),
     ],
@@ -171,7 +171,7 @@ def test_designs_at_fault_are_told_in_one_line(old, new, said, design):
 def test_outliers_are_refused(design):
     study = design.parent / "tiny" / "study.toml"
     study.write_text(study.read_text().replace("[[variants]]", "[[variants]]\noutlier_fraction = 0.02"))
-    with pytest.raises(InputError, match="found outlier_fraction, expected none") as caught:
+    with pytest.raises(InputError, match="found outlier_fraction,") as caught:
         _read(design)
     assert "\n" not in str(caught.value)
 

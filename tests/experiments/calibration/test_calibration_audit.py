@@ -160,7 +160,7 @@ def test_chosen_poses_beat_as_many_random_ones(run):
 def test_fewer_equations_than_unknowns_are_said(run):
     results, page = run(("count = 40", "count = 4"), ALONE)
     assert take(results, "variants")["n_equations"][0] == 12
-    assert "12 equations for 14 unknowns" in page
+    assert "12 equations for 14" in page
     assert np.isfinite(take(results, "parameters")["posterior_sd"]).all()
 
 
@@ -169,7 +169,7 @@ def test_own_sensors_alone_tell_nothing_of_the_machine(run):
     found = take(results, "parameters", "probe")
     np.testing.assert_allclose(found["posterior_sd"], found["prior_sd"])
     assert set(found["verdict"]) == {"not"}
-    assert "0 equations for 14 unknowns" in page
+    assert "0 equations for 14" in page
 
 
 def test_what_own_sensors_do_not_tell_is_not_met(run):
@@ -204,16 +204,16 @@ def test_nothing_required_is_a_statement_of_accuracy(run):
 REFUSED = {
     "unknown coordinate": ("z = 0.03 }", "w = 0.03 }", "requirements: found 'w', expected some of x, y, z"),
     "limit of zero": ("z = 0.03 }", "z = 0.0 }", "requirements.z"),
-    "count and file": ("count = 40", f"count = 40\n{POSES}", "found both or none of count, file"),
-    "sensor without noise": ("height = { noise_um = 10.0 }", "", "found height without noise"),
-    "unknown sensor": ('"cam_y"]', '"cam_z"]', "variant 'camera': sensor 'cam_z': unknown here"),
+    "count and file": ("count = 40", f"count = 40\n{POSES}", "poses: expected one of count, file"),
+    "sensor without noise": ("height = { noise_um = 10.0 }", "", "found no noise of height"),
+    "unknown sensor": ('"cam_y"]', '"cam_z"]', "variant 'camera': sensor 'cam_z': expected"),
     "variant twice": ('name = "probe"', 'name = "both"', "variants: found 'both' twice"),
-    "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates for 4 poses"),
-    "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "found almost no pose"),
-    "profile of a symbol": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profile of 'l': not free here, expected one of"),
-    "draws of a posterior": ("[sensors]", "[posterior]\ndraws = 2000\n[sensors]", "posterior: found it without [data]"),
-    "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: found it without a model"),
-    "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: found it without configurations"),
+    "too few candidates": ("candidates = 30", "candidates = 3", "found 3 candidates, expected at least 4"),
+    "workspace beyond reach": ("[sensors]", "[workspace]\nx = [900.0, 901.0]\n[sensors]", "workspace: found few"),
+    "profile of a symbol": ("seed = 4", 'seed = 4\nprofiles = ["l"]', "profile of 'l': fixed"),
+    "draws of a posterior": ("[sensors]", "[posterior]\ndraws = 2000\n[sensors]", "posterior: expected [data]"),
+    "a deformation": ("[sensors]", "[deformation]\nkappa = 0.1\n[sensors]", "deformation: expected a model"),
+    "a unit of no file": ("count = 40", "count = 40\nunit_mm = 2.0", "unit_mm: expected configurations"),
     "no error to leave out": (
         "[sensors]",
         '[[scenarios]]\nname = "none"\nmodel_error = false\n[model_error]\nterms = ["random"]\n[sensors]',
@@ -222,7 +222,7 @@ REFUSED = {
     "errors of a term that is not there": (
         "[sensors]",
         '[model_error]\nterms = ["positioning"]\nexpected_um = { drift = 1.0 }\n[sensors]',
-        "expected_um: found ['drift'], expected some of the terms ['positioning']",
+        "expected_um: found ['drift'], expected some of ['positioning']",
     ),
     "given to a machine that needs nothing": (
         "[sensors]",
@@ -272,6 +272,6 @@ def test_the_terminal_says_the_verdict_and_every_set_of_sensors(folder, call, no
     code, said, complaint = call("run", folder / "audit.toml", "--out", folder / "out", "--workers", 1)
     assert code == 0, complaint
     lines = said.splitlines()
-    assert lines[1].startswith("Best of three sets of sensors: “Camera and probe”")
+    assert lines[1].startswith("Best of three sensor sets: “Camera and probe”")
     shown = [line.split()[1] for line in lines if re.match(r"\S (both|camera|probe) ", line)]
     assert shown == ["both", "camera", "probe"]

@@ -30,8 +30,8 @@ SLIPS = {
     "exchanged": (CARRIAGES[:2], lambda x: x[:, ::-1], "readings of s[1] and s[2] seem to be exchanged"),
     "the other way round": (CARRIAGES[::2], lambda x: x[:, ::-1], "legs of s seem to be numbered the other way"),
     "counted": (CARRIAGES, lambda x: np.roll(x, 1, axis=1), "legs of s seem to be counted from leg 2"),
-    "shifted": (CARRIAGES, lambda x: np.roll(x, 1, axis=0), "rows of s seem to be shifted by one"),
-    "one shifted": (CAMERA[:1], lambda x: np.roll(x, -1, axis=0), "rows of cam_x seem to be shifted by one"),
+    "shifted": (CARRIAGES, lambda x: np.roll(x, 1, axis=0), "rows of s seem shifted by one"),
+    "one shifted": (CAMERA[:1], lambda x: np.roll(x, -1, axis=0), "rows of cam_x seem shifted by one"),
 }
 
 
@@ -82,13 +82,13 @@ def test_a_run_that_would_find_no_machine_is_refused_with_the_likely_cause(tmp_p
 
 @pytest.mark.runs
 def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, monkeypatch):
-    said = FoundSlip("rows", "rows of s seem to be shifted", 100.0, 41.0)
+    said = FoundSlip("rows", "rows of s seem shifted", 100.0, 41.0)
     path = calibrations.write_delta(tmp_path)
     monkeypatch.setattr("bayescal.experiments.study.inputs.find_suspects", lambda variants, denied: (said, []))
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ntied = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 3
-    assert "rows of s seem to be shifted" in " ".join(out.split())
+    assert "rows of s seem shifted" in " ".join(out.split())
     results = read_results(tmp_path / "out")
     assert results.summary["suspected_data_error"] == vars(said)
     page = load(path)[0].page(results)

@@ -195,7 +195,7 @@ def test_the_truth_lies_where_the_posterior_says(arm, results):
     assert (every["sd"] < 0.5 * every["prior_sd"]).sum() > 8
     provenance = json.loads((results / "provenance.json").read_text())
     assert {"laser.py", "own_arm.py"} <= set(provenance["files"])
-    line = "Not used: tracker_x_mm of data/readings.csv; expected their channels in [sensors]"
+    line = "Not used: tracker_x_mm of data/readings.csv;"
     assert line in (results / "report.html").read_text()
 
 
@@ -395,9 +395,7 @@ def test_columns_that_nobody_takes_are_said(copied, call):
     leave_out_laser(copied)
     code, out, err = call("validate", copied)
     assert code == 0, err
-    line = (
-        "Not used: laser_mm of data/readings.csv; expected their channels in [sensors], or the columns in data.ignore"
-    )
+    line = "Not used: laser_mm of data/readings.csv; expected them in [sensors], or in data.ignore"
     assert out.splitlines().count(line) == 1
     calibrations.change(copied, 'file = "data/readings.csv"', 'file = "data/readings.csv"\nignore = ["laser_mm"]')
     assert "Not used" not in call("validate", copied)[1]
@@ -410,25 +408,29 @@ def test_columns_that_one_variant_leaves_out_are_used(arm, call):
 
 
 REFUSED = {
-    "another frame": ("frame_deg = [0.0, 0.0, 120.0]\n", "frame_deg = [0.0, 0.0, 20.0]", "instruments.station: its"),
+    "another frame": (
+        "frame_deg = [0.0, 0.0, 120.0]\n",
+        "frame_deg = [0.0, 0.0, 20.0]",
+        "instruments.station: readings lie",
+    ),
     "unknown kind": ('kind = "point"', 'kind = "points"', "instruments.station.kind"),
     "unknown key": ("anchor_mm", "anker_mm", "anker_mm"),
     "unknown class": ("laser.py:Laser", "laser.py:Maser", "Maser"),
-    "class that is none": ("laser.py:Laser", "own_arm.py:Arm", "no Instrument"),
+    "class that is none": ("laser.py:Laser", "own_arm.py:Arm", "expected a subclass of Instrument"),
     "rotation that is not there": (
         'kind = "point"',
         'kind = "pose"',
-        "instruments.station: sees how the tool is turned, machine 'arm' gives no rotation; expected",
+        "instruments.station: machine 'arm': expected a rotation vector",
     ),
     "target on a tool without rotation": (
         'kind = "distance"',
         'kind = "distance"\ntarget_mm = [0.0, 0.0, 10.0]',
-        "instruments.bar: sees how the tool is turned, machine 'arm' gives no rotation; expected",
+        "instruments.bar: machine 'arm': expected a rotation vector",
     ),
     "channel of no instrument": (
         "bar = { noise_um",
         "rod = { noise_um",
-        "sensor 'rod': unknown here, expected some of",
+        "sensor 'rod':",
     ),
 }
 
@@ -445,7 +447,7 @@ def test_refusals_are_one_line_and_write_nothing(case, copied, tmp_path, refuse)
     [
         ("x_sd_mm", None, "found columns 'cov_x_x' and 'x_sd_mm', expected one of them"),
         ("corr_x_y", None, "found columns 'cov_x_y' and 'corr_x_y', expected one of them"),
-        (None, "cov_x_x", "cov_x_y: found no variance of both, expected it in columns cov_"),
+        (None, "cov_x_x", "cov_x_y: found no variance"),
         ("cov_y_x", None, "found column 'cov_y_x', expected pose, use, "),
     ],
 )
@@ -465,11 +467,11 @@ def test_a_machine_without_a_tool_takes_no_instrument(copied, tmp_path, refuse):
     text = source.read_text().replace(".tool(", ".place(").replace("def tool(", "def place(")
     start = text.index("    tool_channels = (")
     source.write_text(text[:start] + text[text.index("\n", start) + 1 :])
-    said = "instruments.station: sees where the tool is, machine 'arm' does not say it; expected tool_channels"
+    said = "instruments.station: machine 'arm': expected tool_channels"
     refuse(said, tmp_path / "out", "run", copied, "--quiet")
 
 
 def test_code_beside_a_config_is_not_run_where_that_is_refused(copied, call):
     code, out, err = call("validate", copied, "--no-custom-code")
     assert (code, out) == (2, "")
-    assert "instruments.laser.kind: found 'laser.py:Laser', which is no built-in one, and --no-custom-code" in err
+    assert "instruments.laser.kind: found 'laser.py:Laser', not built in, with --no-custom-code" in err

@@ -9,9 +9,9 @@ TABLE_LINE = 'file = "data/readings.csv"'
 STUDY, MACHINE, CLASS, TABLE = "study.toml", "machine.toml", "linear_delta.py", "data/readings.csv"
 CASES = {
     STUDY: {
-        "unknown channel": ("s = { noise_um = 5.0 }", "q = { noise_um = 5.0 }", "sensor 'q': unknown here"),
+        "unknown channel": ("s = { noise_um = 5.0 }", "q = { noise_um = 5.0 }", "sensor 'q': expected"),
         "noise in another unit": ("s = { noise_um = 5.0 }", "s = { noise_deg = 5.0 }", "expected a noise in mm"),
-        "noise without a unit": ("s = { noise_um = 5.0 }", "s = { noise = 5.0 }", "found noise without a unit"),
+        "noise without a unit": ("s = { noise_um = 5.0 }", "s = { noise = 5.0 }", "sensors.s: found no unit"),
         "two noises": (
             "s = { noise_um = 5.0 }",
             "s = { noise_um = 5.0, noise_mm = 1.0 }",
@@ -23,9 +23,9 @@ CASES = {
             's0 = { prior = "normal", sd = [0.5, 0.5] }',
             "parameters.s0: found 2 values",
         ),
-        "no such file": ('file = "data/readings.csv"', 'file = "data/reading.csv"', "reading.csv"),
+        "no such": ('file = "data/readings.csv"', 'file = "data/reading.csv"', "reading.csv"),
         "free without a prior": ('tied = ["l"]', 'free = ["q"]', "'one_rod' frees 'q', which has no prior"),
-        "one in common": ('tied = ["l"]', 'tied = ["t_x"]', "one parameter, expected at least two"),
+        "one in common": ('tied = ["l"]', 'tied = ["t_x"]', "one parameter, expected two"),
         "unknown group": (
             "[sampler]",
             "[noise_factor_log_sd]\ncam = 1.0\n[sampler]",
@@ -34,12 +34,12 @@ CASES = {
         "error on a channel that is not there": (
             "[model_error]\nterms = []",
             "[model_error]\nprobe = { scale = 0.1 }",
-            "model_error: found 'probe', expected a group of channels: s, camera, height",
+            "model_error: found 'probe', expected one of s, camera, height",
         ),
         "noise of a channel that is not there": (
             "[sampler]",
             "[noise_factor_log_sd]\nprobe = 0.5\n[sampler]",
-            "noise_factor_log_sd: found 'probe', expected a group of channels: s, camera, height",
+            "noise_factor_log_sd: found 'probe', expected one of s, camera, height",
         ),
         "group of several units": (
             "[sampler]",
@@ -49,9 +49,9 @@ CASES = {
         "bounds the wrong way": (
             "[sampler]",
             "[workspace]\nx = [1.0, 0.0]\n[sampler]",
-            "expected the smaller number first",
+            "workspace.x: found 1 to 0",
         ),
-        "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["q"]', "no column of channel 'q'"),
+        "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["q"]', "no column of 'q'"),
         "commanded by an instrument": (
             TABLE_LINE,
             f'{TABLE_LINE}\ncommanded_channels = ["s", "height"]',
@@ -60,17 +60,17 @@ CASES = {
         "commanded by too few": (
             TABLE_LINE,
             f'{TABLE_LINE}\ncommanded_channels = ["s[1]", "s[3]"]',
-            "data.commanded_channels: found 2 channels, expected at least 3, one per coordinate",
+            "data.commanded_channels: found 2 channels,",
         ),
         "commanded by what a variant leaves out": (
             'tied = ["l"]',
             'tied = ["l"]\nsensors = ["cam_x", "cam_y", "height"]',
-            "data.commanded_channels: found 's[1]', which is not among the sensors",
+            "data.commanded_channels: found 's[1]',",
         ),
-        "measured without a source": ('status = "simulated"', 'status = "measured"', "without source or licence"),
+        "measured without a source": ('status = "simulated"', 'status = "measured"', "expected source and licence"),
     },
     MACHINE: {
-        "missing file": ("linear_delta.py:LinearDelta", "no_delta.py:LinearDelta", "no such file"),
+        "missing file": ("linear_delta.py:LinearDelta", "no_delta.py:LinearDelta", "no such"),
         "missing class": ("linear_delta.py:LinearDelta", "linear_delta.py:Delta", "Delta"),
         "unknown kind": ("linear_delta.py:LinearDelta", "line_machines", "line_machine"),
         "unknown key": ("rod_mm = 260.0", "rod_m = 0.26", "rod_m"),
@@ -83,14 +83,14 @@ CASES = {
         "wrong shape": ("return np.concatenate([s,", "return np.concatenate([s[..., :2],", "found shape"),
         "not analytic": ("+ (y - parameters", "+ np.abs(y - parameters", "expected an analytic function"),
         "raises": ("s = z +", 's = z + parameters["none"] +', "KeyError"),
-        "fails to import": ("import numpy as np", "import numpyy as np", "fails to import"),
+        "fails to import": ("import numpy as np", "import numpyy as np", "whose import fails"),
         "constructor that raises": ("angle = np.radians", "angle = np.radianss", "AttributeError"),
     },
     TABLE: {
         "unknown column": ("s_1_mm", "t_1_mm", "found column 't_1_mm'"),
         "unit of another kind": ("s_1_mm", "s_1_deg", "found column 's_1_deg'"),
         "no number": ("C001,calibration,", "C001,calibration,x", "expected a number"),
-        "pose twice": ("C002", "C001", "is already on line"),
+        "pose twice": ("C002", "C001", "already on line"),
         "unknown use": ("C001,calibration", "C001,calibrate", "use: found 'calibrate'"),
     },
 }
@@ -163,7 +163,7 @@ free = ["l"]
 def test_an_instrument_for_poses_on_a_machine_without_a_platform(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path).parent / "legs.toml"
     path.write_text(STUDY_OF_POSES)
-    refuse(path, "machine.toml: kind: found 'linear_delta.py:LinearDelta', a machine of channels, expected one on legs")
+    refuse(path, "machine.toml: kind: found 'linear_delta.py:LinearDelta',")
 
 
 def test_a_second_reading_of_the_same_pose(tmp_path, refuse):
@@ -179,15 +179,15 @@ def test_a_commanded_channel_without_a_column_or_a_cell(tmp_path, refuse):
     written = table.read_text()
     table.write_text(written.replace("s_2_mm", "other").replace("s_2_mm", "other"))
     calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\nignore = ["other"]')
-    refuse(path, "found no column of channel 's[2]', which is in data.commanded_channels")
+    refuse(path, "found no column of 's[2]', which data.commanded_channels")
     lines = written.splitlines()
     cells = lines[4].split(",")
     lines[4] = ",".join([*cells[:3], "", *cells[4:]])
     table.write_text("\n".join(lines) + "\n")
-    refuse(path, "line 5: found no s[2], expected it as data.commanded_channels says")
+    refuse(path, "line 5: found no s[2], expected it by data.commanded_channels")
 
 
 def test_a_table_without_the_channels_it_should_have(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
     calibrations.change(path, 'file = "data/readings.csv"', 'file = "data/readings.csv"\nchannels = ["s", "rx"]')
-    refuse(path, "found no column of channel 'rx'")
+    refuse(path, "found no column of 'rx'")

@@ -180,7 +180,7 @@ def test_it_stops_or_says_that_nothing_helps(question, call, no_pictures):
     call("next-pose", question, "--out", question.parent / "b")
     assert json.loads((question.parent / "b" / "summary.json").read_text())["decision"] == "infeasible"
     findings = pd.read_csv(question.parent / "b" / "findings.csv").set_index("subject")
-    assert findings.loc["What can be reached", "status"] == "bad"
+    assert findings.loc["Reachable", "status"] == "bad"
 
 
 @pytest.mark.runs
@@ -200,10 +200,13 @@ def test_candidates_come_from_a_table_and_variants_are_told_apart(question, call
 
 FAULTS = {
     "x = 0.08": ("w = 0.08", "requirements: found 'w', expected some of x, y, z, position"),
-    'variants = ["all"]': ('variants = ["any"]', "variant 'any': unknown here, expected one of all, one_rod"),
+    'variants = ["all"]': ('variants = ["any"]', "variant 'any': expected one of all, one_rod"),
     "draws = 300": ("draws = 300\nn_first_poses = 99", "n_first_poses: found 99, expected at most 25"),
-    "count = 60": ("range_mm = 3.0", "candidates.range_mm: found it of a machine without legs"),
-    "[requirements]": ("[workspace]\nposition_mm = [1, 1, 1]\nrotation_deg = [1, 1, 1]\n[requirements]", "no hexapod"),
+    "count = 60": ("range_mm = 3.0", "candidates.range_mm:"),
+    "[requirements]": (
+        "[workspace]\nposition_mm = [1, 1, 1]\nrotation_deg = [1, 1, 1]\n[requirements]",
+        "workspace: found position_mm",
+    ),
     "[candidates]": ("[workspace]\nu = [0.0, 1.0]\n\n[candidates]", "workspace: found 'u', expected some of x, y, z"),
 }
 
@@ -229,6 +232,6 @@ def test_what_no_pose_can_say_is_refused(question):
             read_next_pose(load(question)[1], question.parent)
         study.write_text(text)
 
-    complain('"s"', "found 3 channels that are read and 3 unknown coordinates of each pose")
-    complain('"s[1]", "s[2]", "cam_x", "cam_y", "height"', "own sensors .* do not determine its pose")
-    complain('"s", "cam_x", "cam_y"', "found other readings in 'one_rod' than in 'all'", "all")
+    complain('"s"', "found 3 channels for 3 pose coordinates")
+    complain('"s[1]", "s[2]", "cam_x", "cam_y", "height"', "own sensors .* do not determine")
+    complain('"s", "cam_x", "cam_y"', "found different readings in 'one_rod' and 'all'", "all")

@@ -255,7 +255,7 @@ def test_more_than_there_is_memory_for_is_refused_before_anything_is_written(fin
 
 def test_there_must_be_something_to_resume(finished, refuse, tmp_path):
     _, path, _ = finished
-    refuse("found no interrupted run, expected one to resume", tmp_path / "new" / "out", "run", path, "--resume")
+    refuse("found no interrupted run", tmp_path / "new" / "out", "run", path, "--resume")
     assert not (tmp_path / "new").exists()
 
 

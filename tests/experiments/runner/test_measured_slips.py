@@ -42,14 +42,14 @@ def test_a_slip_of_a_session_is_refused_unless_denied_and_then_said(tmp_path, de
     shift = studies.change_actuators(lambda rho: np.roll(rho, 1, axis=0))
     with studies.changed_table(tmp_path / "data" / "2" / "actuators.csv", shift):
         if refused:
-            said = r"session 'S2': .* rows of rho seem to be shifted by one.* ignored_data_errors of the session"
+            said = "session 'S2': .* rows of rho .* ignored_data_errors of"
             with pytest.raises(InputError, match=said):
                 experiment.read(config, tmp_path)
             return
         (said,) = experiment.read(config, tmp_path).denied
     (statement,) = state_denied({"ignored_data_errors": [said]})
     assert (statement.level, statement.lead) == ("warning", "Data")
-    assert "ows of rho seem to be shifted by one" in statement.text
+    assert "ows of rho seem shifted" in statement.text
     assert "ignored_data_errors" in statement.action
 
 

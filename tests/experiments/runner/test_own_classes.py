@@ -67,7 +67,7 @@ def folder(tmp_path_factory):
 def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures, search_little):
     path = own_classes.write_study(tmp_path, own_classes.ONE_VARIANT)
     code, _, complaint = call("run", path, "--out", tmp_path / "out1", "--workers", 1, "--quiet")
-    assert code == 0 or "not everything converged" in complaint, complaint  # so few draws do not
+    assert code in (0, 3), complaint  # so few draws do not
     summary = read_json(tmp_path / "out1" / "summary.json")
     other = compute_experiment(load_experiment(path), tmp_path, workers=2).summary
     assert list(summary["variants"]) == ["longer/halved"]
@@ -86,7 +86,7 @@ def test_a_study_of_an_own_model_and_deformation(call, tmp_path, no_pictures, se
     studies.edit(tmp_path / "own.py", "with a twist", "with another twist")
     code, _, complaint = call("run", path, "--out", tmp_path / "out1", "--quiet")
     assert code == 2
-    assert "holds results of another config" in complaint
+    assert "another config" in complaint
 
 
 def test_a_variant_is_of_its_own_classes(folder):
@@ -115,15 +115,15 @@ def test_a_twin_of_an_own_model(call, tmp_path):
     [
         ("longer_mm = 0.5", "longre_mm = 0.5", "unknown key, did you mean 'longer_mm'?, expected one of longer_mm"),
         ("longer_mm = 0.5", "longer_mm = -1.0", "longer_mm: found -1.0, expected greater than"),
-        ("own.py:Longer", "own.py:Shorter", "model: found 'own.py:Shorter', which is no KinematicModel"),
-        ("own.py:Longer", "own.py:Tracker", "model: found 'own.py:Tracker', which is no KinematicModel"),
-        ("own.py:Longer", "nowhere.py:Longer", "nowhere.py: no such file, expected a Python module"),
-        ("own.py:Longer", "no.such:Longer", "found 'no.such:Longer', which no installed package offers"),
+        ("own.py:Longer", "own.py:Shorter", "model: found 'own.py:Shorter', expected a subclass"),
+        ("own.py:Longer", "own.py:Tracker", "model: found 'own.py:Tracker', expected a subclass"),
+        ("own.py:Longer", "nowhere.py:Longer", "nowhere.py: no such"),
+        ("own.py:Longer", "no.such:Longer", "found 'no.such:Longer', expected file.py:Class"),
         ('{ class = "own.py:Longer", longer_mm = 0.5 }', '"six_puss"', "found 'six_puss', did you mean 'six_pus'?"),
         ('{ class = "own.py:Longer", longer_mm = 0.5 }', "3", "model: found 3, expected a name, or a table"),
-        ('{ class = "own.py:Longer", longer_mm = 0.5 }', '"own.py:Nameless"', "whose name is 'six_pus' as a built-in"),
-        ("own.py:Longer", "own.py:Failing", "class Failing that fails with RuntimeError: no blocks here"),
-        ("own.py:Halved", "own.py:Longer", "deformation: found 'own.py:Longer', which is no Deformation"),
+        ('{ class = "own.py:Longer", longer_mm = 0.5 }', '"own.py:Nameless"', "named 'six_pus', expected no built-in"),
+        ("own.py:Longer", "own.py:Failing", "class Failing fails with RuntimeError: no blocks here"),
+        ("own.py:Halved", "own.py:Longer", "deformation: found 'own.py:Longer', expected a subclass of Deformation"),
         ('"six_pus"', '{ class = "six_pus", depth = 1 }', "depth: unknown key, expected none"),
     ],
 )
@@ -188,11 +188,11 @@ def test_a_run_of_other_code_is_not_resumed(refuse, tmp_path):
         ("skip = 2", "skpi = 2", "selections.0.skpi: unknown key, did you mean 'skip'?"),
         ("skip = 2", 'skip = "two"', "selections.0.skip: found 'two', expected a valid integer"),
         ("own.py:Foremost", "exchagne", "found 'exchagne', did you mean 'exchange'?"),
-        ("own.py:Foremost", "own.py:Weighted", "which is no SelectionMethod"),
+        ("own.py:Foremost", "own.py:Weighted", "expected a subclass of SelectionMethod"),
         (", weight = 3.0", "", "weight: missing"),
         ('criteria = ["D"', 'criteria = ["O6"', "found 'O6', expected one of A, D, I, O1"),
-        ("weight = 3.0", "weight = 2.0", "found two criteria of the name 'weighted', expected one"),
-        ("own.py:Tracker", "own.py:Bare", "a class without information, expected"),
+        ("weight = 3.0", "weight = 2.0", "found two criteria named 'weighted'"),
+        ("own.py:Tracker", "own.py:Bare", "found 'own.py:Bare' without information"),
         ("own.py:Tracker", "own.py:Lying", "found information of shape (6,)"),
         ("noise_um = 10.0\n", "", "sensors.tracker.noise_um: missing"),
         ("noise_um = 10.0\n", "noise_mu = 10.0\n", "sensors.tracker.noise_mu: unknown key, did you mean 'noise_um'?"),
@@ -242,7 +242,7 @@ def test_an_audit_of_a_study_of_own_classes(folder):
     assert {"own.py", "study.toml", "mechanism.toml"} <= set(experiment.files(config, folder))
     studies.edit(path, "own.py:Longer", "own.py:Renamed")
     (folder / "own.py").write_text(own_classes.OWN + "\n\nclass Renamed(Longer):\n    name = 'renamed'\n")
-    with pytest.raises(InputError, match="found no renamed/none, expected one of longer/none, six_pus/halved"):
+    with pytest.raises(InputError, match=r"renamed/none,.*longer/none, six_pus/halved"):
         experiment.read(load(path)[1], folder)
     (folder / "own.py").write_text(own_classes.OWN)
 
@@ -278,4 +278,4 @@ def test_an_installed_package_offers_its_classes_by_name(tmp_path):
     studies.edit(site / "extras.py", "with a twist", "with another twist")
     again = run("--quiet")
     assert again.returncode == 2
-    assert "holds results of another config" in again.stderr
+    assert "another config" in again.stderr

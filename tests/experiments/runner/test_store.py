@@ -190,7 +190,7 @@ def put(name: str, text: str) -> Callable[[Store], None]:
 
 
 REFUSED = {
-    "of another seed": (lambda store: publish(store, "old"), "holds results of another config .*, expected those of"),
+    "of another seed": (lambda store: publish(store, "old"), "another config .*, expected"),
     "a directory": (put("/thesis.tex", "years"), "holds no results, expected a new or a results directory"),
     "a file": (put("", "years of work"), "holds no results, expected a new or a results directory"),
     **{
@@ -216,7 +216,7 @@ def test_a_foreign_directory_in_the_way_of_the_work_is_not_emptied(tmp_path):
     store.partial.mkdir()
     (store.partial / "thesis.tex").write_text("years of work")
     before = snapshot(tmp_path)
-    with pytest.raises(InputError, match="is no interrupted run"):
+    with pytest.raises(InputError, match=r"study\.partial:"):
         store.begin(IDENTITY, resume=False)
     assert snapshot(tmp_path) == before
 
@@ -315,8 +315,8 @@ def test_read_json_says_what_is_wrong(tmp_path):
     for prepare, expected in (
         (lambda: None, "no such file"),
         (lambda: path.write_text("[1]"), "found a list, expected a JSON object"),
-        (lambda: path.write_text("{"), "cannot be read as JSON"),
-        (lambda: path.write_bytes(b"\xff"), "cannot be read as UTF-8 text"),
+        (lambda: path.write_text("{"), "not JSON"),
+        (lambda: path.write_bytes(b"\xff"), "not UTF-8"),
     ):
         prepare()
         with pytest.raises(InputError, match=expected) as caught:
@@ -354,14 +354,14 @@ def test_files_of_others_stay_in_the_results(store, voice):
     assert list_names(store.out.parent) == ["study"]
     check_whole(store.out, expected=True)  # whose own files they are is known
     (store.out / "notes" / "two.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"found notes/two.txt added, expected"):
+    with pytest.raises(InputError, match=r"found notes/two.txt added,"):
         check_whole(store.out, expected=True)
 
 
 def test_a_file_of_others_among_the_work_is_named_and_stays(store):
     (store.partial / "thesis.tex").write_text("years of work")
     for resume in (False, True):
-        with pytest.raises(InputError, match=r"thesis.tex: found what no run has written"):
+        with pytest.raises(InputError, match=r"thesis\.tex: found no"):
             store.begin(IDENTITY, resume=resume)
     publish(store, "new")
     assert contents(store.out) == {"new"}

@@ -25,12 +25,12 @@ def print_at(width: int) -> str:
 
 
 def test_columns_give_way_in_order():
-    assert "no room" not in print_at(80)
-    assert "no room here for: elpd (in the report)" in print_at(60)
+    assert "Hidden" not in print_at(80)
+    assert "Hidden columns: elpd (in the report)" in print_at(60)
     narrow = print_at(40)
     assert "stiffness/matrix" in narrow
     assert "4.3 / 8.6 µm" in narrow
-    assert "no room here for: log-evidence and elpd" in narrow
+    assert "Hidden columns: log-evidence and elpd" in narrow
     assert max(map(len, narrow.splitlines())) <= 40
 
 

@@ -121,7 +121,7 @@ def test_i_needs_a_workspace(tmp_path):
     text = (FOLDER / "hexapod_i_optimal.toml").read_text(encoding="utf-8")
     path = tmp_path / "x.toml"
     path.write_text(re.sub(r"\[workspace\].*?(?=\[requirements\])", "", text, flags=re.S), encoding="utf-8")
-    with pytest.raises(InputError, match=r"without \[workspace\], expected both"):
+    with pytest.raises(InputError, match=r"without \[workspace\],"):
         load_experiment(path)
 
 
@@ -174,7 +174,7 @@ BAD = {
     "unknown criterion": ({'criteria = ["O1"]': 'criteria = ["O6"]'}, r"found 'O6', expected"),
     "one label twice": (
         {'method = "exchange"': 'method = "random"'},
-        r"found 'random' twice for criterion O1 and 10 poses",
+        r"found 'random' twice for criterion O1, 10 poses",
     ),
     "unknown sensor": ({'sensors = ["laser_tracker"]': 'sensors = ["eye"]'}, r"found sensor 'eye', expected one of"),
     "no such machine": ({"../audit/camera_hexapod_mechanism": "camera"}, r"camera\.toml"),
@@ -184,7 +184,7 @@ BAD = {
     ),
     "fewer candidates than poses": (
         {"count = 1000": "count = 8"},
-        r"candidates: found 8 distinct poses among 8, expected at least the 40 to select",
+        r"candidates: found 8 distinct of 8 poses, expected at least 40",
     ),
     "measured pose not finite": (
         {"[domain]": MEASURED, "table.csv": "0,0,0,0,0,0\n0,nan,0,0,0,0"},
@@ -200,11 +200,11 @@ BAD = {
     ),
     "singular candidate": (
         {'kind = "actuators"': FLAT_BOX, 'layout = "random"': EVEN, "mechanism": FLAT},
-        r"candidate \d+ \([^)]*z -100 mm[^)]*\): singular pose Jacobian J_1, expected poses away from singularities",
+        r"candidate \d+ \([^)]*z -100 mm[^)]*\): singular pose",
     ),
     "given pose that is singular": (
         {"[domain]": GIVEN, "mechanism": FLAT, "table.csv": "0,0,0,0,0,0\n{flat}"},
-        r"designs: theirs: pose 2: found none at these displacements, expected poses the machine can take",
+        r"designs: theirs: pose 2: found no pose",
     ),
 }
 

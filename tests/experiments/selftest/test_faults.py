@@ -113,7 +113,7 @@ def test_model_errors_are_no_fault_but_are_said():
     assert (found.fault, found.level) == ("model error", "warning")
 
 
-@pytest.mark.parametrize(("symbol", "said"), [("kappa", "by kappa are wrong"), ("l", "by l are wrong: off by up to 1")])
+@pytest.mark.parametrize(("symbol", "said"), [("kappa", "by kappa are off"), ("l", "by l are off by up to 1")])
 def test_a_wrong_derivative_is_named(symbol, said, subject, monkeypatch):
     """Of legs by κ, of the delta by its rods."""
     judged = checked.make_clean(6) if symbol == "kappa" else subject

@@ -41,7 +41,7 @@ def test_faults_open_the_page_and_end_the_command(study, tmp_path, monkeypatch, 
     fault = Finding("Noise", "noise", "bad", "the noise is twice as large.")
     nothing = compute.np.empty((0, 13))
     monkeypatch.setattr(compute, "look_at_data", lambda task: ([fault], nothing, nothing))
-    with pytest.raises(NumericalError, match=r"six_pus/matrix fails the self-test \(noise\)"):
+    with pytest.raises(NumericalError, match=r"six_pus/matrix.*\(noise\)"):
         run("selftest", study, "--variant", "six_pus/matrix", "--out", tmp_path / "out", "--workers", "1")
     out = capsys.readouterr().out
     assert "Noise: The noise is twice as large." in out
@@ -55,8 +55,8 @@ def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkey
 
 CANNOT = {
     "found 'audit', expected 'study'": calibrations.write_audit,
-    "variant 'q': unknown here, expected one of six_pus/none": studies.write_tiny_study,
-    "variant 'q': unknown here, expected one of all, one_rod": calibrations.write_delta,
+    "variant 'q': expected one of six_pus/none": studies.write_tiny_study,
+    "variant 'q': expected one of all, one_rod": calibrations.write_delta,
 }
 
 

@@ -100,14 +100,14 @@ FAULTS_OF_LEGS = {
     "missing": (edit("data/2/targets.csv", "data/7/targets.csv"), r"data/7/targets\.csv: no such file"),
     "no temperature": (edit("temperature_celsius = 20.0", ""), "session 'S2': found no temperature"),
     "no column": (warm("pose,kelvin\nC01,3.0\n"), "found column 'kelvin'.* expected pose, temperature_celsius"),
-    "no pose": (warm("pose,temperature_celsius\nC01,3.0\n"), "found no row of pose 'C02'"),
+    "no pose": (warm("pose,temperature_celsius\nC01,3.0\n"), "pose 'C02': missing"),
     "other machine": (
         lambda path: session_studies.write_other_machine(path.parent),
         "session 'S2': found leg . off by",
     ),
     "copied": (
         lambda path: path.write_text(path.read_text().replace("data/2/", "data/1/")),
-        "session 'S2': found the readings of session 'S1' to the last digit",
+        "session 'S2': found the readings of 'S1'",
     ),
     "order": (edit("time_days = 60.0", "time_days = 20.0"), "session 'S2': found time_days 20 after 30"),
     "no day": (edit("time_days = 60.0", ""), "session 'S2': found no time_days"),
@@ -123,8 +123,8 @@ FAULTS_OF_LEGS = {
 FAULTS_OF_CHANNELS = {
     "missing": (edit("month_2.csv", "month_7.csv"), r"month_7\.csv: no such file"),
     "no readings": (edit('readings = ["month_2.csv"]\n', ""), "session 'M2': found 0 files of readings, expected 1"),
-    "of legs": (edit('readings = ["month_2.csv"]', 'poses = "month_2.csv"'), "found poses, expected readings, as"),
-    "copied": (edit("month_2.csv", "month_1.csv"), "found the readings of session 'M1' to the last digit"),
+    "of legs": (edit('readings = ["month_2.csv"]', 'poses = "month_2.csv"'), "found poses, expected readings"),
+    "copied": (edit("month_2.csv", "month_1.csv"), "session 'M2': found the readings of 'M1'"),
     "slipped": (exchange, r"session 'M2': .*readings of s\[1\] and s\[2\] seem to be exchanged"),
     "symbol": (edit('symbols = ["s0"]', 'symbols = ["q"]'), "drift.symbols: found 'q', expected one of x, y, l, s0"),
     "angle": (edit('symbols = ["s0"]', 'symbols = ["t_x"]'), "found 't_x' in rad without scale_arcsec"),
@@ -138,7 +138,7 @@ FAULTS_OF_CHANNELS = {
     ),
     "common": (
         edit("[sampler]", FUNCTION, "study.toml"),
-        r"found functions of \[error_terms\], expected a variant without",
+        r"found functions of \[error_terms\]",
     ),
     "uniform": (
         edit('s0 = { prior = "normal", sd', 's0 = { prior = "uniform", half_width', "study.toml"),
@@ -186,7 +186,7 @@ def test_temperatures_that_nothing_is_made_of_are_doubted(written, call, tmp_pat
     path.write_text(text.replace(session_studies.THERMAL, ""))
     code, said, _ = call("validate", path)
     assert code == 0
-    assert "there is no [thermal]" in said
+    assert "without [thermal]" in said
 
 
 def test_a_denied_slip_is_said_and_not_refused(written, tmp_path, monkeypatch):

@@ -55,7 +55,7 @@ def test_a_study_states_them_in_units_that_the_machine_has(cell, call):
         cell.read_text() + "\n[sensitivity]\nprior_width_factors = []\n"
     )  # none is computed then, and nothing is lost
     code, complaint, out = run_little(call, cell)
-    assert code == 0 or "not everything converged" in complaint
+    assert code in (0, 3), complaint
     assert "lost" not in (out / "summary.json").read_text()
     assert not (out / "tables" / "sensitivity.csv").is_file()
     rows = pd.read_csv(out / "tables" / "parameters.csv", comment="#").set_index("parameter")

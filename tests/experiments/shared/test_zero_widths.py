@@ -48,7 +48,7 @@ def test_widths_that_are_none_are_refused(sd):
 def test_no_noise_needs_no_unit(value):
     model = point_on_lines()
     assert noise_of_channels({"l": ChannelConfig(noise=value)}, model).tolist() == [0.0, 0.0, 0.0]
-    with pytest.raises(InputError, match="without a unit"):
+    with pytest.raises(InputError, match=r"sensors\.l:"):
         noise_of_channels({"l": ChannelConfig(noise=1.0)}, model)
 
 

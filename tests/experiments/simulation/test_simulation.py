@@ -302,13 +302,13 @@ def test_a_mechanism_has_readings_as_every_machine(config):
         ("l = [0.37, ", "l = [", "truth.offsets.l: found 5 values, expected 1 or 6"),
         ('calibration = "calib', 'calibration = "kalib', "no such file"),
         ('calibration = "calibration_conf', 'calibration = "deformation_conf', "no such file"),
-        ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected either offsets or parameters"),
-        ("pad_radius_mm = 12.0", "", "found targets_per_pad 2 without pad_radius_mm, expected both"),
-        ('model = "six_pus"', "", "model: found none, expected the kinematic model of the mechanism"),
+        ("[truth.offsets]", 'parameters = "t.csv"\n[truth.offsets]', "truth: expected offsets or parameters"),
+        ("pad_radius_mm = 12.0", "", "targets_per_pad 2: expected pad_radius_mm"),
+        ('model = "six_pus"', "", "model: missing"),
         ('status = "reconstructed"', 'status = "measured"', "provenance.status: found 'measured', expected"),
         ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside targets, expected either"),
-        ("target_um = 3.0", "", "noise.target_um: found none beside targets, expected it"),
-        ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found beside instrument, expected either"),
+        ("target_um = 3.0", "", "noise.target_um: missing"),
+        ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found with instrument"),
         ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: unknown key"),
     ],
 )
@@ -323,13 +323,13 @@ def test_faulty_simulation(config, old, new, expected):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument] of a machine on legs"),
+        ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument]"),
         ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
         ("[sensors]", 'model = "six_ups"\n[sensors]', "provenance.model: unknown key"),
         (
             "n_poses = 6",
             'n_poses = 6\nmodel = "six_ups"',
-            "model: found 'six_ups' beside a machine whose",
+            "model: found 'six_ups'",
         ),
         ("[sensors]", "[truth.offsets]\nt_x = [0.5, 1.0]\n[sensors]", "truth.offsets.t_x: found 2 values, expected 1"),
     ],
@@ -346,12 +346,12 @@ def test_only_legs_are_seen_by_an_instrument_of_their_platform(config):
     path = calibrations.copy_delta(config.parent) / "machine.toml"
     studies.edit(config, 'machine = "mechanism.toml"\nmodel = "six_pus"', f'machine = "{path}"')
     studies.edit(config, 'deformation_matrix = "deformation_matrix.csv"', "")
-    with pytest.raises(InputError, match="which has no legs, expected a mechanism"):
+    with pytest.raises(InputError, match="without legs"):
         load_twin(config)
 
 
 def test_table_of_another_machine(config):
     path = config.with_name("calibration_configurations.csv")
     path.write_text("drho_1,drho_2\n1,0\n")
-    with pytest.raises(InputError, match="found 2 columns, expected 6, one per leg"):
+    with pytest.raises(InputError, match="2 columns, expected 6,"):
         load_twin(config)

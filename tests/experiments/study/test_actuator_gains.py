@@ -75,7 +75,7 @@ def test_the_machine_that_explains_the_data_best_has_them(folder):
     index = variant.model.layout.index["gain"]
     assert len(places) == 6
     np.testing.assert_allclose(theta[index], GAINS, rtol=0, atol=1.5e-3)
-    assert "no error linear in the own position of rho[1], rho[2]" in variant.missing  # they are these gains
+    assert "position of rho[1], rho[2]" in variant.missing  # they are these gains
 
 
 def test_a_study_that_does_not_name_them_has_none(folder):
@@ -118,7 +118,7 @@ def test_gains_of_actuators_that_are_not_read_are_refused(folder, refuse):
     path = folder / "bad.toml"
     text = (folder / "audit.toml").read_text()
     path.write_text(text.replace('deformation = "none"\n', 'deformation = "none"\nsensors = ["instrument"]\n', 1))
-    refuse("found gain.1. free where no actuator is read", folder / "out", "audit", path, "--quiet")
+    refuse("found gain.1. free, expected rho", folder / "out", "audit", path, "--quiet")
 
 
 @pytest.mark.slow

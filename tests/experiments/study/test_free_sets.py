@@ -197,7 +197,7 @@ def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ((), "found 'six_pus/none', 'joints alone', 'lengths', expected data.variant with one"),
+        ((), "found 'six_pus/none', 'joints alone', 'lengths', expected data.variant"),
         (
             (("[[variants]]", 'variant = "length"\n[[variants]]'),),
             "found no 'length', expected 'six_pus/none', 'joints alone', 'lengths'",
@@ -208,7 +208,7 @@ def test_an_audit_takes_a_variant_by_its_name(tmp_path, name, symbol):
         ),
         (
             (("[[variants]]", 'variant = "lengths"\n[[variants]]\nfree = ["a_x"]'),),
-            "variants.free: found it beside [data], expected none, since the study has its own",
+            "variants.free: found with [data]",
         ),
     ],
 )

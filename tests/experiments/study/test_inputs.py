@@ -65,7 +65,7 @@ def test_targets_that_fit_no_body_name_pose_and_body(folder, change, pose, body)
 
 def test_pad_that_was_not_seen_names_pose_and_leg(folder):
     change_targets(folder, lambda row: None if row[0] == "C03" and row[2].startswith("L2") else row)
-    assert "pose 'C03': found no seen target on the pad of leg 2" in fail(folder, "data/targets.csv")
+    assert "pose 'C03': pad of leg 2: " in fail(folder, "data/targets.csv")
     leave_only_the_variant_none(folder)
     assert studies.load_study(folder / "study.toml").seen.pads is None  # nobody asks for it
 
@@ -76,7 +76,7 @@ def test_poses_too_few_for_the_matrix(folder):
     path.write_text("\n".join([*lines[:8], *(x for x in lines[8:] if x.startswith("V"))]) + "\n")
     kept = {line.split(",")[0] for line in path.read_text().splitlines()}
     change_targets(folder, lambda row: row if row[0] in kept else None)
-    assert "found 5 poses with actuator displacements in 5 independent directions" in fail(folder, "data/targets.csv")
+    assert "found 5 poses of rank 5" in fail(folder, "data/targets.csv")
     leave_only_the_variant_none(folder)
     assert studies.load_study(folder / "study.toml").seen.pads is None
 
@@ -95,10 +95,10 @@ def test_poses_too_few_for_the_matrix(folder):
         ),
         ("study.toml", "offset = 0.0", "offset = 1e300", "parameters.b_z.offset: found 1e+300"),
         ("study.toml", 'free = ["l"]', 'free = ["l", "l"]', "free: found 'l' twice, expected it once"),
-        ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000 below draws 5000"),
+        ("study.toml", "draws = 1000", "draws = 5000", "max_draws 1000, expected at least draws 5000"),
         ("mechanism.toml", "[0.0, 0.0, 1.0]", "[0.0, 0.0, 1e300]", "legs.direction.2: found 1e+300"),
         ("mechanism.toml", "radius_mm = 130.0", "radius_mm = 9.0\npoints_mm = [[1, 2, 3]]", "platform: expected"),
-        ("mechanism.toml", "azimuth_deg = [265.0", "points_mm = [[1, 2, 3]]\n#", "platform: expected either"),
+        ("mechanism.toml", "azimuth_deg = [265.0", "points_mm = [[1, 2, 3]]\n#", "platform: expected radius_mm"),
     ],
 )
 def test_slips_in_numbers(folder, name, old, new, expected):
@@ -135,11 +135,11 @@ OUTSIDE = [
     ("beam", "l_b", "fixed", "-11", "found -1 mm, expected above 0"),
     ("stiffness", "k1_d", "fixed", "-1e6", "found -990183 N mm2, expected above"),
     ("six_pus", "u_x", "fixed", "1.5", "found 1.5, expected above -1 and below"),
-    ("beam", "beta", "uniform", "0.3", "found a prior from -0.05 to 0.55, expected it between 0 and 0.5"),
+    ("beam", "beta", "uniform", "0.3", "found a prior from -0.05 to 0.55, expected it within 0 to 0.5"),
     ("beam", "beta[3]", "uniform", "[0.1, 0.1, 0.3, 0.1, 0.1, 0.1]", "found a prior from -0.05 to 0.55"),
-    ("beam", "l_b", "uniform", "11.0", "found a prior from -1 to 21, expected it between 0"),
-    ("stiffness", "k1_d", "uniform", "1e6", "found a prior from -990183 to 1.00982e+06, expected it between 0"),
-    ("six_pus", "u_x", "uniform", "1.5", "found a prior from -1.5 to 1.5, expected it between -1 and 1"),
+    ("beam", "l_b", "uniform", "11.0", "found a prior from -1 to 21, expected it within 0 to inf"),
+    ("stiffness", "k1_d", "uniform", "1e6", "found a prior from -990183 to 1.00982e+06, expected it within 0 to inf"),
+    ("six_pus", "u_x", "uniform", "1.5", "found a prior from -1.5 to 1.5, expected it within -1 to 1"),
 ]
 """Models, parameters, the kind of their prior, its offset or half width, and what is said of it."""
 
@@ -166,7 +166,7 @@ def test_values_and_priors_outside_the_bounds(folder, model, name, prior, size, 
 def test_a_start_that_is_no_machine(folder, model, parameters):
     """Every value lies between its bounds, and yet there is no such machine."""
     choose(folder, model, parameters)
-    assert "found no machine at the priors' centres" in fail_variant(folder, f"{model}/none")
+    assert "prior centres" in fail_variant(folder, f"{model}/none")
 
 
 @pytest.mark.parametrize("model", ["beam", "stiffness", "stiffness_fixed"])
@@ -183,7 +183,7 @@ def test_models_of_flexures_need_them(folder, model, section):
 
 def test_a_model_of_another_drive_is_refused(folder):
     choose(folder, "six_ups")
-    assert "model 'six_ups': found actuators at the base in mechanism" in fail(folder, "mechanism.toml")
+    assert "model 'six_ups':" in fail(folder, "mechanism.toml")
 
 
 def test_one_stiffness_for_all_legs(folder):
@@ -204,7 +204,7 @@ def test_singular_geometry_names_the_file(folder):
         "[265.0, 275.0, 25.0, 35.0, 145.0, 155.0]",
         "[220.0, 320.0, 340.0, 80.0, 100.0, 200.0]",
     )
-    assert "singular geometry" in fail(folder, "mechanism.toml")
+    assert "singular at home" in fail(folder, "mechanism.toml")
 
 
 @pytest.mark.parametrize("error", [ValueError("array must not contain infs"), OverflowError(34, "too large")])

@@ -243,22 +243,26 @@ FAULTS = {
             swap_column("rx_deg", "rx_rad"),
             "found column 'rx_rad', did you mean 'rx_deg'",
         ),
-        "metres": ("data/poses.csv", scale_columns(("x_mm", "y_mm", "z_mm"), 1e-3), "as if in metres, expected mm"),
+        "metres": ("data/poses.csv", scale_columns(("x_mm", "y_mm", "z_mm"), 1e-3), "metres, expected mm"),
         "radians": (
             "data/poses.csv",
             scale_columns(("rx_deg", "ry_deg", "rz_deg"), np.pi / 180),
-            "as if in radians, expected degrees",
+            "radians, expected degrees",
         ),
-        "negative variance": ("data/poses.csv", set_cell("C03,", "cov_x_x", "-1"), "found a variance of -1"),
-        "no covariance": ("data/poses.csv", set_cell("C03,", "cov_x_y", "1e6"), "not positive definite"),
+        "negative variance": ("data/poses.csv", set_cell("C03,", "cov_x_x", "-1"), "covariance: found variance -1"),
+        "no covariance": (
+            "data/poses.csv",
+            set_cell("C03,", "cov_x_y", "1e6"),
+            "covariance: found an indefinite matrix",
+        ),
         "missing entry": ("data/poses.csv", set_cell("C03,", "cov_x_y", ""), "cov_x_y: found nothing"),
         "no coordinate": (
             "data/poses.csv",
             lambda text: re.sub(r"^C03,calibration(,[^,]*){6}", "C03,calibration,,,,,,", text, flags=re.MULTILINE),
             "found no coordinate",
         ),
-        "another use": ("data/poses.csv", set_cell("C03,", "use", "verification"), "use: found another than in"),
-        "unknown pose": ("data/poses.csv", swap_column("C03,", "C99,"), "pose 'C99' is not in"),
+        "another use": ("data/poses.csv", set_cell("C03,", "use", "verification"), "use: differs from"),
+        "unknown pose": ("data/poses.csv", swap_column("C03,", "C99,"), "pose 'C99': not in"),
         "missing pose": ("data/poses.csv", lambda text: re.sub("\nC03,.*", "", text), "found nothing of pose 'C03'"),
         "beside targets": (
             "poses.toml",
@@ -274,7 +278,7 @@ FAULTS = {
         "noise twice": (
             "poses.toml",
             swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\nposition_um = 3.0'),
-            "expected it stated once",
+            "found noise columns and position_um",
         ),
         "unknown instrument": (
             "poses.toml",
@@ -284,13 +288,13 @@ FAULTS = {
     },
     "points.toml": {
         "unknown station": ("data/points.csv", swap_column(",north,", ",nord,"), "station 'nord' is not in"),
-        "unknown point": ("data/points.csv", swap_column(",P4,", ",P9,"), "point 'P9' is not in"),
+        "unknown point": ("data/points.csv", swap_column(",P4,", ",P9,"), "point 'P9': not in"),
         "no points": ("data/points.csv", lambda text: re.sub(r"\nC02,.*", "", text), "found nothing of pose 'C02'"),
         "metres": ("data/points.csv", scale_columns(("range_mm",), 1e-3), "expected"),
         "radians": (
             "data/points.csv",
             scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180),
-            "angles in degrees",
+            "station 'north': found points 826",
         ),
         "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "found column 'azimuth_rad'"),
         "no noise": (

@@ -108,8 +108,8 @@ def test_variants_are_named_after_what_they_are_seen_by(folder):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('model = "six_pus"\n\n', "", "expected the kinematic model that the mechanism"),
-        ('deformation = "linear"', 'deformation = "matrix"', "found 'targets' without measured ones"),
+        ('model = "six_pus"\n\n', "", "model: missing"),
+        ('deformation = "linear"', 'deformation = "matrix"', "deformation.matrix: found 'targets'"),
         ("[deformation]", "[frames]\nbase = { position = 1.0, rotation = 1.0 }\n[deformation]", "frames: found beside"),
     ],
 )

@@ -55,8 +55,8 @@ def exchange(one, other):
 
 
 CAUSES = {
-    "turned back": (negate("rx_deg", "ry_deg", "rz_deg"), "the other way round"),
-    "mirrored": (negate("y_mm", "rx_deg", "rz_deg"), "left-handed frame, y of the other sign"),
+    "turned back": (negate("rx_deg", "ry_deg", "rz_deg"), "rotations seem to be those of the base"),
+    "mirrored": (negate("y_mm", "rx_deg", "rz_deg"), "left-handed, y of the other sign"),
     "z": (negate("z_mm"), "readings of z seem to be of the other sign"),
     "exchanged": (exchange("x_mm", "y_mm"), "readings of x and y seem to be exchanged"),
 }
@@ -78,7 +78,7 @@ def test_angles_that_were_read_as_vectors_become_the_rotations_they_are(axes, rn
     truth = Rotation.from_euler(axes, angles[:, ["xyz".index(axis) for axis in axes]]).as_matrix()
     read = list_rereads(np.ones((4, 3)), Rotation.from_rotvec(angles).as_matrix())
     (right,) = [text for text, _, rotation in read if np.allclose(rotation, truth, atol=1e-12)]
-    assert f"the fixed axes {', '.join(axes)} one after the other" in right
+    assert f"the fixed axes {', '.join(axes)}:" in right
 
 
 def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
@@ -86,7 +86,7 @@ def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():
     position = np.arange(6.0).reshape(2, 3) + 200.0
     back = np.swapaxes(turned, 1, 2)
     read = list_rereads(-np.einsum("pij,pj->pi", back, position), back)
-    (found,) = [poses for text, *poses in read if "those of the base in the platform's frame" in text]
+    (found,) = [poses for text, *poses in read if "poses seem to be those of the base" in text]
     np.testing.assert_allclose(found[0], position, atol=1e-12)
     np.testing.assert_allclose(found[1], turned, atol=1e-12)
 
@@ -99,7 +99,7 @@ def test_exchanged_legs_are_found_from_points_in_free_frames(probe, tmp_path, mo
     path = instruments.write_points(tmp_path)
     assert look(path, "actuators.csv") == ""
     found = look(path, "actuators.csv", exchange("rho_2_mm", "rho_3_mm"))
-    assert "readings of rho[2] and rho[3] seem to be exchanged" in found
+    assert "of rho[2] and rho[3]" in found
 
 
 def swap_two(rows):
@@ -119,7 +119,7 @@ def shift_calibration(rows, first=5):
 ELSEWHERE = {
     "two rows": (swap_two, "rows 4 (pose 'C04') and 5 (pose 'C05') seem to have each other's rho"),
     "from a row on": (shift_calibration, "rows of rho seem to be shifted by one from row 6 (pose 'C06')"),
-    "all": (lambda rows: shift_calibration(rows, 1), "they belong to the readings of the row earlier"),
+    "all": (lambda rows: shift_calibration(rows, 1), "rows of rho seem shifted by one, readings of the row earlier"),
 }
 
 
@@ -134,4 +134,4 @@ def test_a_single_pose_that_is_off_is_found(fed):
         rows[6][rows[0].index("x_mm")] = str(float(rows[6][rows[0].index("x_mm")]) + 0.5)
         return rows
 
-    assert "the reading of x in row 6 (pose 'C06')" in look(fed, change=spoil)
+    assert "row 6 (pose 'C06')" in look(fed, change=spoil)

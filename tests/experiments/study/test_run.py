@@ -211,7 +211,7 @@ def test_resume_after_changed_data_is_refused(folder, tmp_path, monkeypatch):
             run(path, tmp_path / "out")
     data = tmp_path / "data" / "actuators.csv"
     data.write_text(data.read_text() + "# measured again\n")
-    with pytest.raises(InputError, match=r"cannot resume, the config differs: files.data/actuators.csv"):
+    with pytest.raises(InputError, match=r"config differs: files.data/actuators.csv"):
         run(path, tmp_path / "out", resume=True)
 
 

@@ -90,27 +90,31 @@ def copy_pose(source: str, target: str) -> Callable[[Rows], Rows]:
 
 
 CONTRADICTIONS: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
-    "two targets exchanged": (TARGETS, exchange("P01", "P03", 2), "targets 'P01' and 'P03' of the platform exchanged"),
-    "two targets of the base": (TARGETS, exchange("B02", "B04", 2), "targets 'B02' and 'B04' of the base exchanged"),
-    "pads exchanged": (TARGETS, exchange_pads, "pad of leg 2 where those of leg 3 should be"),
-    "pads numbered otherwise": (REFERENCE, exchange("2", "3", 2), "perhaps pads are exchanged"),
-    "a pose twice": (TARGETS, copy_pose("C02", "C05"), "found the readings of pose 'C02' to the last digit"),
-    "verification is calibration": (TARGETS, copy_pose("C02", "V01"), "expected a verification pose to be measured by"),
+    "two targets exchanged": (TARGETS, exchange("P01", "P03", 2), "targets 'P01' and 'P03'"),
+    "two targets of the base": (TARGETS, exchange("B02", "B04", 2), "targets 'B02' and 'B04'"),
+    "pads exchanged": (TARGETS, exchange_pads, "pad of leg 2 where leg 3 should be"),
+    "pads numbered otherwise": (REFERENCE, exchange("2", "3", 2), "pad of leg 2 213 mm from its joint"),
+    "a pose twice": (TARGETS, copy_pose("C02", "C05"), "pose 'C05': found the readings of pose 'C02'"),
+    "verification is calibration": (TARGETS, copy_pose("C02", "V01"), "pose 'V01': found the readings of pose 'C02'"),
     "positions in metres": (
         ACTUATORS,
         lambda rows: [[*row[:2], *(str(1e-3 * float(x)) for x in row[2:])] for row in rows],
-        "they look like metres",
+        "; metres?",
     ),
     "displacements": (
         ACTUATORS,
         lambda rows: [[*row[:2], *(f"{float(x) - HOME:.6f}" for x in row[2:])] for row in rows],
-        "they look like displacements",
+        "pose 'C01', leg 2: found -1.3 mm",
     ),
-    "no motion": (ACTUATORS, lambda rows: [[*row[:2], *["10.0"] * 6] for row in rows], "the same actuator positions"),
+    "no motion": (
+        ACTUATORS,
+        lambda rows: [[*row[:2], *["10.0"] * 6] for row in rows],
+        "equal actuator positions at all 13",
+    ),
     "out of range": (
         ACTUATORS,
         lambda rows: [[*row[:-1], "12.0"] for row in rows],
-        "expected at most the actuator range",
+        "expected at most 1.3 mm",
     ),
 }
 
@@ -141,5 +145,5 @@ def test_plan_without_motion_is_refused(drawn, values, tmp_path):
     header = next(line for line in path.read_text().splitlines() if not line.startswith("#"))
     path.write_text(f"{header}\n{values}\n{values}\n")
     config = load_experiment(tmp_path / "simulate.toml")
-    with pytest.raises(InputError, match="found the same actuator positions at all 2 poses"):
+    with pytest.raises(InputError, match="equal actuator positions at all 2 poses"):
         build_twin(config, tmp_path)

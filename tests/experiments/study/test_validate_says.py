@@ -40,7 +40,7 @@ def test_what_is_stated_wrong(what, study, call):
 
 
 def test_errors_that_need_a_cause(study, call):
-    """Own channels err in proportion to the travel of all of them."""
+    """Own channels err in proportion to travel of all of them."""
     path = study.parent / "data" / "readings.csv"
     lines = path.read_text().splitlines()
     comments, (header, *rows) = (
@@ -58,5 +58,5 @@ def test_errors_that_need_a_cause(study, call):
     code, out, _ = call("validate", study)
     assert code == 0
     (line,) = [one for one in out.splitlines() if one.startswith("but the readings need errors of")]
-    assert "a single cause instead, odds of" in line
-    assert "s err in proportion to the travel" in line
+    assert "; single cause, odds of" in line
+    assert "s err in proportion to travel" in line

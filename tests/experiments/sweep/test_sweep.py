@@ -224,16 +224,16 @@ def test_members_that_fail_are_listed_and_stop_nothing(call, tmp_path):
         ("values = [4, 16]", 'values = [4, "many"]', 'with poses = "many"'),
         ("values = [4, 16]", "values = [4, 0]", "axes.1: with poses = 0: "),
         ("values = [4, 16]", "values = []", "axes.1.values"),
-        ("values = [4, 16]", "factors = [1.0]", "poses: found no 'poses' there"),
+        ("values = [4, 16]", "factors = [1.0]", "poses: found no 'poses'"),
         ("values = [4, 16]", "", "found none, expected one of values, factors and range"),
         ("range = [1.0, 100.0]", "range = [-1.0, 100.0]", "on a log scale, expected positive numbers"),
         ("count = 5", "count = 60000", "combinations, expected at most 100000"),
-        ("count = 5", "", "found one of range and count, expected both or none"),
+        ("count = 5", "", "axes.0: expected range with count"),
         ('experiment = "tiny.toml"', 'experiment = "none.toml"', "none.toml"),
-        ('experiment = "tiny.toml"', 'experiment = "sweep.toml"', "expected an experiment that is no sweep"),
-        ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\nmode = "zip"', "[5, 2] entries to combine"),
+        ('experiment = "tiny.toml"', 'experiment = "sweep.toml"', "kind: found 'sweep'"),
+        ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\nmode = "zip"', "found axes of [5, 2] entries"),
         ('key = "poses"', 'key = "other.toml:poses"', "other.toml"),
-        ("at_most = 20.0", "at_most = 20.0\nat_least = 3.0", "found at_most and at_least, expected one"),
+        ("at_most = 20.0", "at_most = 20.0\nat_least = 3.0", "expected at_most or at_least"),
         ('key = "sensors.tracker.a.sd"', 'key = "poses"', "found 'poses' twice"),
         ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\ncache_dir = ".."', "cache_dir: found '..'"),
         ('experiment = "tiny.toml"', 'experiment = "tiny.toml"\ncache_dir = "."', "cache_dir: found '.'"),
@@ -254,7 +254,7 @@ def test_a_sweep_none_of_whose_figures_is_there_ends_with_its_first_member(call,
     path = sweeps.write(tmp_path, sweep=sweeps.SWEEP.replace("tracker.a.sd", "tracker.sd"), counted=True)
     code, _, complaint = call("run", path, "--out", tmp_path / "out", "--workers", 1, "--quiet")
     assert (code, complaint.count("\n")) == (3, 1)
-    assert "found none of sensors.tracker.sd in the summary of the first member" in complaint
+    assert "none of sensors.tracker.sd" in complaint
     assert "such as 'sensors.tracker.a.sd'" in complaint
     assert not (tmp_path / "out").exists()
     assert count_computed(tmp_path) == 1

@@ -196,7 +196,7 @@ def test_actuators_that_do_not_hold_the_platform_are_refused(rail):
     study, text = rail.parent / "study.toml", (rail.parent / "study.toml").read_text()
     try:
         change(study, 'title = "All" }', 'title = "All", sensors = ["x"] }')
-        with pytest.raises(InputError, match="found 0 readings of the machine's own, which do not determine all 1"):
+        with pytest.raises(InputError, match="found 0 own readings, expected enough for 1"):
             read(rail)
     finally:
         study.write_text(text)
@@ -220,7 +220,7 @@ def test_places_that_cannot_be_are_refused(folder, old, new, words):
 SLIPS = {
     "none": ([], lambda x: x, None),
     "exchanged": (["q_1_mm", "q_2_mm"], lambda x: x[:, ::-1], "readings of q[1] and q[2] seem to be exchanged"),
-    "shifted": (ACTUATORS, lambda x: np.roll(x, 1, axis=0), "rows of q seem to be shifted by one"),
+    "shifted": (ACTUATORS, lambda x: np.roll(x, 1, axis=0), "rows of q seem shifted by one"),
     "of another day": (GIVEN, lambda x: np.roll(x, 1, axis=0), "rows of all readings against elevation_deg and temp"),
 }
 
@@ -247,7 +247,7 @@ def test_rows_without_elevation_are_refused(folder):
     try:
         change(data, "elevation_deg", "elevation")
         change(folder / "study.toml", 'channels = ["q"', 'ignore = ["elevation"]\nchannels = ["q"')
-        with pytest.raises(InputError, match="found no elevation_deg, expected it"):
+        with pytest.raises(InputError, match="found no elevation_deg,"):
             read(folder / "table.toml")
     finally:
         data.write_text(text)
@@ -262,7 +262,7 @@ def test_a_posterior_that_did_not_converge_makes_a_table_where_that_is_allowed(t
     assert code == 3
     (line,) = studies.list_errors(err)
     assert "did not converge" in line
-    assert line.endswith("expected one that did, or --allow-unconverged")
+    assert line.endswith("--allow-unconverged uses it")
     assert not (tmp_path / "out").exists()
     assert call(*arguments, "--allow-unconverged")[0] == 0
     lookup = pd.read_csv(tmp_path / "out" / "lookup.csv")
@@ -272,4 +272,4 @@ def test_a_posterior_that_did_not_converge_makes_a_table_where_that_is_allowed(t
     assert abs(row["q_mm"].item() - (0.05 + 10.0 * 0.004)) < 0.02
     terms = json.loads((tmp_path / "out" / "polynomial.json").read_text())
     assert len(terms["covariance"]) == len(terms["covariance_order"]) == 3
-    assert "did not converge" in (tmp_path / "out" / "report.html").read_text()
+    assert "Not converged" in (tmp_path / "out" / "report.html").read_text()

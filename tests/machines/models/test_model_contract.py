@@ -239,9 +239,7 @@ def test_models_say_what_they_need_of_flexures(model):
         with pytest.raises(InputError) as caught:
             machines.build_model(model, mechanism).blocks(mechanism)
         found = str(caught.value)
-        assert re.fullmatch(
-            rf"mechanism 'telescope': found no \[{section}\], expected (it|them) for the {model} model", found
-        )
+        assert re.fullmatch(rf"mechanism 'telescope': found no \[{section}\], expected (it|them) for {model}", found)
     for mechanism in (bare, no_sections):
         if mechanism not in missing:
             assert machines.build_model(model, mechanism).blocks(mechanism)

@@ -97,7 +97,7 @@ def test_lateral_struts_need_the_stated_home():
     found = check_home_pose(machines.build_machine("none", other, "six_ups"))
     np.testing.assert_allclose(found.position, home, atol=1e-9)
     assert found.n_iterations == 1
-    with pytest.raises(InputError, match="leg 4 of 493 mm cannot span its joints"):
+    with pytest.raises(InputError, match="leg 4 of 493"):
         check_home_pose(machines.build_machine("none", replace(other, home_position=None), "six_ups"))
 
 

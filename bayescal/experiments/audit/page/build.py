@@ -20,8 +20,8 @@ from bayescal.report.numbers import join_words
 from bayescal.report.symbols import describe_deformation
 
 KIND = "Identifiability audit"
-RIDGES = "Structurally unidentifiable combinations need another kind of measurement; weak ones a better plan."
-NO_RIDGES = "All combinations of the parameters are determined."
+RIDGES = "Structurally unidentifiable combinations need other measurements; weak ones a better plan."
+NO_RIDGES = "All combinations are determined."
 
 
 def build_page(results: Results) -> Page:
@@ -67,13 +67,13 @@ def _build_sections(audit: AuditResults) -> tuple[PageSection, ...]:
     accuracy = show_accuracy(audit.tables, asked=asked)
     requirements = (*_if_any(tables.tabulate_requirements(audit)), figures.show_requirements(audit))
     changes = (*_if_any(tables.tabulate_changes(audit)), figures.show_changes(audit))
-    helped = _fold("For each weak combination the best change", tables.tabulate_ridge_help(audit))
+    helped = _fold("Best change by weak combination", tables.tabulate_ridge_help(audit))
     sets = _if_any(tables.tabulate_sets(audit))
-    steps = _fold("How the reduced set is found", tables.tabulate_selection(audit))
-    steps = steps or (Absent("No reduced set was looked for."),)
+    steps = _fold("Reduced set", tables.tabulate_selection(audit))
+    steps = steps or (Absent("No reduced set requested."),)
     profiles = (figures.show_profiles(audit), *_if_any(tables.tabulate_profiles(audit)))
     simulated = tuple(tables.tabulate_simulated(audit))
-    left_out = Absent("Left out: the design asks for no simulated calibrations.")
+    left_out = Absent("No simulated calibrations requested.")
     return (
         *show_predicted(audit.accuracy, bool(audit.summary.get("aligned"))),
         *show_variants(audit),
@@ -101,7 +101,7 @@ def _show_parameters(audit: AuditResults) -> tuple[Block, ...]:
         *figures.show_machine(audit),
         tables.tabulate_symbols(audit),
         figures.show_contraction(audit),
-        Fold("Every parameter with the reason of its verdict", (tables.tabulate_parameters(audit),)),
+        Fold("Verdict by parameter", (tables.tabulate_parameters(audit),)),
         figures.show_spectrum(audit),
     )
 

@@ -93,11 +93,7 @@ def show_contraction(results: AuditResults) -> Figure:
     for one in rows:
         place = symbols.index(one.symbol), legs.index(one.leg)
         values[place], free[place] = one.contraction, one.reduced_set
-    caption = (
-        "Contraction of every parameter with all others unknown: the share of its tolerance's variance that the "
-        "measurements remove, 0 where nothing is learnt. From 0.75 on the tolerance is at least halved (blue). "
-        "Outlined: the reduced set of reproductions."
-    )
+    caption = "Contraction; blue: uncertainty at least halved. Outlined: reduced set."
 
     def draw() -> Drawing:
         width = min(WIDTH, 1.6 + 0.75 * len(legs))
@@ -122,17 +118,11 @@ def show_changes(results: AuditResults) -> Figure:
     table = pd.DataFrame(
         [plan, *({p: c.ridges.get(p, np.nan) for p in pivots} for c in results.changes)], columns=pivots
     )
-    which = "the combination named after each parameter"
     if len(pivots) > NUMBERED:  # the least of each symbol where these are too many to be read
         table = table.T.groupby([split_name(p)[0] for p in pivots], sort=False).min().T
-        if len(table.columns) < len(ridges):
-            which = f"the combinations named after each symbol, on the {results.member} known least"
-    caption = (
-        f"Contraction of {which} under other plans; the first row is the plan itself. Blue: determined. Combinations "
-        "that no measurement of this kind sees are not shown, no plan helps them."
-    )
+    caption = "Contraction of weak combinations by plan; blue: determined."
     if not ridges or not results.changes:
-        reason = "no combination is weak" if not ridges else "no change of the plan was looked at"
+        reason = "no weak combination" if not ridges else "no other plan"
         return Figure("changes", caption, None, reason)
     labels = ["as it is" if results.is_measured else "as planned", *map(name_change, results.changes)]
 
@@ -174,13 +164,7 @@ FLOOR = 1e-3  # of what rounding or the thresholds are, below which values are d
 
 def show_spectrum(results: AuditResults) -> Figure:
     """Return the spectra that decide: over a wide workspace against rounding, of the plan against the tolerances."""
-    caption = (
-        "Left: singular values of the noise-free identification Jacobian over a wide workspace, per tolerance; what "
-        "lies at the level of rounding is a combination that no measurement of this kind sees, and the gap decides the "
-        "rank. Right: how well the planned measurements determine each combination, its tolerance divided by what "
-        "their noise alone would leave; below the upper line the tolerance is not halved, below the lower one hardly "
-        "anything is learnt."
-    )
+    caption = "Left: noise-free Jacobian, per tolerance. Right: planned measurements."
     return Figure("spectrum", caption, partial(_draw_spectrum, results.tables["spectrum"]))
 
 
@@ -200,23 +184,23 @@ def _draw_spectrum(spectrum: pd.DataFrame) -> Drawing:
     left.axhline(rounding, color=GREY, linestyle="--", linewidth=1.0, label="noise floor")
     if 0 < rank < len(counts):
         left.axvline(rank + 0.5, color=INK, linewidth=0.6, linestyle=":")
-    left.set_ylabel("Singular value per tolerance")
-    left.set_title(f"Any measurement of this kind: rank {rank} of {len(counts)}")
+    left.set_ylabel("Singular value")
+    left.set_title(f"Structural rank {rank} of {len(counts)}")
     groups = (
         (planned >= high, BLUE, "o", "determined"),
         ((planned >= low) & (planned < high), ORANGE, "^", "in part"),
-        (planned < low, RED, "s", "hardly or never"),
+        (planned < low, RED, "s", "weak or never"),
     )
     draw_groups(right, np.maximum(planned, FLOOR * low), groups)
     for value, contraction in ((high, IDENTIFIABLE_CONTRACTION), (low, UNIDENTIFIABLE_CONTRACTION)):
         right.axhline(value, color=GREY, linestyle="--", linewidth=1.0)
         right.text(1, value * 1.12, f"contraction {format_plain(contraction)}", fontsize=8, color="#555555")
-    right.set_ylabel("Tolerance / what the noise leaves")
-    right.set_title("The planned measurements")
+    right.set_ylabel("Prior sd / data sd")
+    right.set_title("Planned measurements")
     for axes in (left, right):
         axes.legend(loc="best")
         axes.set_yscale("log")
-        axes.set_xlabel("Number, largest first")
+        axes.set_xlabel("Number")
         axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
         axes.grid(axis="y")
     return figure
@@ -227,13 +211,9 @@ def _draw_spectrum(spectrum: pd.DataFrame) -> Drawing:
 
 def show_requirements(results: AuditResults) -> Figure:
     """Return the predicted errors against their limits."""
-    caption = (
-        "Largest standard deviation of the predicted pose anywhere in the workspace, in per cent of each requirement's "
-        "limit, logarithmic. The tick is the part of the parameters; the rest up to the dot are actuators and model "
-        f"error. Blue: met with a probability of {format_percent(LIKELY)} or more, as in the table; red: not reliably."
-    )
+    caption = f"Largest sd / limit. Tick: parameters alone. Blue: met (P ≥ {format_percent(LIKELY)})."
     if not results.requirements:
-        return Figure("requirements", caption, None, "the design states no requirement")
+        return Figure("requirements", caption, None, "no requirement given")
     kept = np.array([is_met(results, r) for r in results.requirements])
     return Figure("requirements", caption, partial(_draw_requirements, results.requirements, kept))
 
@@ -247,9 +227,9 @@ def _draw_requirements(requirements: Sequence[AuditRequirementRow], kept: np.nda
     )
     axes.hlines(rows, np.minimum(after, before), np.maximum(after, before), color=PALE, linewidth=5.0, zorder=1)
     shape: dict[str, Any] = {"linestyle": "none", "markersize": 6.5}
-    axes.plot(before, rows, marker="o", markerfacecolor="white", color=GREY, label="before the calibration", **shape)
-    axes.plot(geometry, rows, marker="|", color=INK, label="after it, by parameters alone", **shape)
-    for colour, label, chosen in ((BLUE, "after it, met", kept), (RED, "after it, not reliably met", ~kept)):
+    axes.plot(before, rows, marker="o", markerfacecolor="white", color=GREY, label="before", **shape)
+    axes.plot(geometry, rows, marker="|", color=INK, label="parameters alone", **shape)
+    for colour, label, chosen in ((BLUE, "after, met", kept), (RED, "after, not met", ~kept)):
         if chosen.any():
             axes.plot(after[chosen], rows[chosen], marker="o", color=colour, label=label, **shape)
     for row, value in zip(rows, after, strict=True):
@@ -265,7 +245,7 @@ def _draw_requirements(requirements: Sequence[AuditRequirementRow], kept: np.nda
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_yticks(rows, [quote(name_requirement(r.requirement)) for r in requirements])
     axes.set_ylim(len(requirements) - 0.5, -0.6)
-    axes.set_xlabel("Predicted standard deviation in per cent of the limit")
+    axes.set_xlabel("Predicted sd / limit (%)")
     axes.grid(axis="x")
     figure.legend(loc="outside upper left", ncols=5, borderaxespad=0.2, fontsize=8)
     return figure
@@ -274,9 +254,9 @@ def _draw_requirements(requirements: Sequence[AuditRequirementRow], kept: np.nda
 # --- sweeps ----------------------------------------------------------------------------------------------------------
 
 SWEEPS = {
-    "noise": "Noise of the sensors, times the plan's",
+    "noise": "Sensor noise / planned noise",
     "poses": "Number of poses",
-    "workspace": "Displacements, times the plan's",
+    "workspace": "Displacements / planned",
 }
 LINE_COLOURS = (BLUE, ORANGE, "#009E73", "#CC79A7", YELLOW, "#56B4E9", "#555555")
 LINES = ("-", "--", ":")
@@ -285,12 +265,7 @@ LINES = ("-", "--", ":")
 def show_sweeps(results: AuditResults) -> Figure:
     """Return how tolerances and predicted errors go with noise, number of poses and displacements."""
     sweeps = results.tables.get("sweeps")
-    caption = (
-        f"Remaining share of the tolerances on the {results.member} that is known least, a line per symbol, with all "
-        "parameters unknown (dashed red: contraction 0.75 and 0.1), and below it the predicted standard deviations in "
-        "per cent of their limits. The grey line is the plan; open marks need more than the actuators' range. Lines "
-        "that stay level wait for another kind of measurement."
-    )
+    caption = f"Posterior sd / prior sd, least-known {results.member}; below: sd / limit. Open: beyond range."
     if sweeps is None or not set(sweeps["sweep"]) & set(SWEEPS):
         return Figure("sweeps", caption, None, "nothing was swept")
     required = results.tables.get("sweep_requirements")
@@ -314,7 +289,7 @@ def _draw_sweeps(sweeps: pd.DataFrame, requirements: pd.DataFrame | None, n_pose
             axes.grid()
         _label_values(grid[-1, column], sorted(set(mine["value"])))
         grid[-1, column].set_xlabel(SWEEPS[kind])
-    labels = ("Left of the tolerance,\nwhere known least", "Predicted sd\nin per cent of the limit")
+    labels = ("Posterior sd / prior sd", "Predicted sd / limit (%)")
     for label, row in zip(labels, grid, strict=False):
         row[0].set_ylabel(label)
         place: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.02, 0.5)}
@@ -373,12 +348,9 @@ HIGHEST = 12.0
 def show_profiles(results: AuditResults) -> Figure:
     """Return the deviance of each profiled parameter, all others fitted again."""
     profiles = results.tables.get("profiles")
-    caption = (
-        "Profile likelihoods: a parameter is held at a value, all others are fitted again, and the deviance shows what "
-        "that costs. Where the full line stays below the dotted one, the measurements alone do not bound the parameter."
-    )
+    caption = "Profile likelihoods. Below the dotted line: not bounded by data."
     if profiles is None:
-        return Figure("profiles", caption, None, "the design asks for no profile likelihoods")
+        return Figure("profiles", caption, None, "no profiles requested")
     return Figure("profiles", caption, partial(_draw_profiles, profiles))
 
 
@@ -402,7 +374,7 @@ def _draw_profiles(profiles: pd.DataFrame) -> Drawing:
         axes.grid()
     for axes in panels[::COLUMNS]:
         axes.set_ylabel("Deviance")
-    labels = ("measurements alone", "with the tolerances", "95 %")
+    labels = ("measurements alone", "with tolerances", "95 %")
     handles = [Line2D([], [], label=label, **style) for label, style in zip(labels, styles, strict=True)]
     figure.legend(handles=handles, loc="outside upper left", ncols=3, borderaxespad=0.2)
     return figure
@@ -446,21 +418,21 @@ PANELS = 12  # of ridges in the first figure
 SHOWN_DRAWS = 1200
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": "."}
 SOURCES: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "prior": ("prior", "draws of the prior (grey)", {"color": "#b5b5b5", "alpha": 0.8, **DOTS}),
+    "prior": ("prior", "prior (grey)", {"color": "#b5b5b5", "alpha": 0.8, **DOTS}),
     "forecast": (
         "expected posterior, first order",
-        "draws of what the information leaves of it (blue)",
+        "expected posterior (blue)",
         {"color": BLUE, "alpha": 0.5, **DOTS},
     ),
-    "posterior": ("posterior", "draws of the posterior (blue)", {"color": BLUE, "alpha": 0.5, **DOTS}),
+    "posterior": ("posterior", "posterior (blue)", {"color": BLUE, "alpha": 0.5, **DOTS}),
     "profile": (
         "profile path",
-        "the path that the profile takes (dashed)",
+        "profile path (dashed)",
         {"color": INK, "linewidth": 1.0, "linestyle": "--"},
     ),
     "tangent": (
-        "direction of the information",
-        "the straight direction of the information (dotted)",
+        "information direction",
+        "information direction (dotted)",
         {"color": RED, "linewidth": 1.0, "linestyle": ":"},
     ),
 }
@@ -478,21 +450,18 @@ def show_ridges(results: AuditResults) -> list[Figure]:
     others = [ridge for ridge in plotted if ridge not in first]
     left_out = results.summary.get("no_posterior_reason")
     shown = join_words([words for source, (_, words, _) in SOURCES.items() if source in sources])
-    caption = (
-        f"Ridges, two parameters each that the measurements do not distinguish: {shown}. Each draw is shown without "
-        "its moves along the other ridges."
-    )
+    caption = f"Draws along undetermined combinations: {shown}."
     if "posterior" in sources:
-        caption += " Posterior draws as wide along a curve as the prior's are what is not identifiable."
+        caption += " Posterior as wide as prior: unidentifiable."
     else:
         reason = f": {left_out}" if isinstance(left_out, str) else ""
-        caption += f" Draws of the posterior are left out{reason}."
+        caption += f" No posterior draws{reason}."
     if not first:
-        reason = left_out if isinstance(left_out, str) else "no draws of the posterior were made"
+        reason = left_out if isinstance(left_out, str) else "no posterior draws"
         return [Figure("ridges", caption, None, reason)]
     found = [Figure("ridges", caption, partial(_draw_ridges, first, draws, curves))]
     if others:
-        same = "The same for the other ridges."
+        same = "Other ridges."
         found.append(Figure("ridges_others", same, partial(_draw_ridges, others, draws, curves)))
     return found
 
@@ -546,9 +515,9 @@ def draw_sets(sets: pd.DataFrame, best: pd.DataFrame, required: bool, against: s
     axes.plot(good[column] + shift, good["goal"], ".", color=PALE, markersize=5.0, label="another set")
     axes.plot(best[column], best["goal"], "-o", color=BEST, markersize=5.0, label=f"best of each {against}")
     if required:
-        axes.axhline(1.0, color=RED, linewidth=0.9, label="standard deviation equal to the limit")
+        axes.axhline(1.0, color=RED, linewidth=0.9, label="sd = limit")
     _finish_log(axes, by_number)
-    axes.set_ylabel("Largest sd as a share of its limit" if required else "Error, lengths together")
+    axes.set_ylabel("Largest sd / limit" if required else "Error")
     axes.set_xlabel("Number of sensors" if by_number else "Cost")
     return figure
 
@@ -572,7 +541,7 @@ def draw_counts(counts: pd.DataFrame, enough: int, asked: ChosenUnits) -> Drawin
         if flat := enough < number.max():
             axes.axvline(enough, color=INK, linewidth=0.8, linestyle="--")
         _finish_log(axes, integers=True)
-        axes.set_xlabel(f"Number of poses{'; beyond the dashed line more bring little' if flat else ''}")
+        axes.set_xlabel(f"Number of poses{'; dashed: enough' if flat else ''}")
         axes.set_ylabel(f"rms over the workspace ({shown})" if shown else "rms over the workspace")
     return figure
 

@@ -15,7 +15,7 @@ from bayescal.report.blocks import Block, Column, PageSection, Statement, Table,
 from bayescal.report.numbers import format_plain, format_significant, join_words
 from bayescal.report.symbols import choose_error_unit
 
-FOUND = "Sizes: as found by the study, none, and three times as large."
+FOUND = "Sizes: as found, none, threefold."
 
 
 def state_model_error(audit: AuditResults) -> Iterator[Statement]:
@@ -24,10 +24,10 @@ def state_model_error(audit: AuditResults) -> Iterator[Statement]:
         return
     unit = _name_unit(audit)
     whole = sum(size**2 for size in sizes.values()) ** 0.5
-    text = f"Systematic errors as found by the study: {format_significant(whole, 2)} {unit} rms."
+    text = f"Systematic errors found: {format_significant(whole, 2)} {unit} rms."
     if not audit.is_measured:
         (true,) = audit.tables["error_sizes"].query("size_factor == 1.0")["size"].unique()
-        text = f"Assumed systematic error {format_significant(true, 2)} {unit} rms; a study would allow for "
+        text = f"Assumed systematic error {format_significant(true, 2)} {unit} rms; allowed for: "
         text += f"{format_significant(whole, 2)} {unit}."
     yield Statement(text, lead="Model error", value=whole, unit=unit)
     rows = [row for row in _read_rows(audit) if row.quantity == "requirement"]
@@ -44,10 +44,10 @@ def show_model_error(audit: AuditResults) -> list[PageSection]:
         return []
     rows, unit, blocks = _read_rows(audit), _name_unit(audit), list[Block]()
     blocks += [Statement(FOUND)] if audit.is_measured else []
-    caption = "Standard deviation after the calibration, rms over legs or channels."
+    caption = "Posterior sd, rms over members."
     blocks.append(_tabulate([row for row in rows if row.quantity == "parameter"], unit, "Parameter", caption))
     if required := [row for row in rows if row.quantity == "requirement"]:
-        caption = "Requirements: predicted sd, and probability to meet them."
+        caption = "Requirements: predicted sd, probability."
         blocks.append(_tabulate(required, unit, "Requirement", caption))
     allowed, size = _name_unseen(audit)
     blocks += show_hidden(audit.tables["model_error_bias"], size, allowed, lambda unit: (1.0, name_unit(unit)))

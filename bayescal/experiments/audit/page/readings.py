@@ -36,7 +36,7 @@ from bayescal.report.symbols import ChosenUnits, format_place, name_unit, shown_
 MAX_LISTED_SETS = 12  # sets that are listed
 REASONS = {
     "calibration": "calibration readings do not determine the pose",
-    "use": "own sensors do not determine the pose in use",
+    "use": "own sensors do not determine the pose",
 }
 
 
@@ -68,7 +68,7 @@ def show_variants(audit: AuditResults) -> list[PageSection]:
         words = (row.title, row.data_set, str(row.n_parameters), str(row.n_equations), str(row.n_identifiable))
         limits = format_share(row.sd_over_limit), format_probability(row.probability)
         rows.append([*words, ratio, *limits, chosen])
-    text = ("Equations: readings less coordinates of the poses. Error: of the tool by unknown parameters, rms.",)
+    text = ("Equations: readings less pose coordinates. Error: tool, rms.",)
     return [make_section("Sensors", text, (make_table("Sets of sensors.", columns, rows),))]
 
 
@@ -89,8 +89,8 @@ def show_selected(audit: AuditResults) -> list[PageSection]:
         ]
         for row in SelectedPoseRow.read(mine)
     ]
-    text = ("Greedy selection: each reduces the mean squared error over the workspace most.",)
-    return [make_section("Poses to measure", text, (make_table("The poses chosen.", columns, rows),))]
+    text = ("Greedy selection.",)
+    return [make_section("Poses", text, (make_table("Chosen poses.", columns, rows),))]
 
 
 def show_counts(audit: AuditResults) -> list[PageSection]:
@@ -101,7 +101,7 @@ def show_counts(audit: AuditResults) -> list[PageSection]:
     names = _list_parts(mine, PARAMETER_ERROR)
     columns = [Column("Poses")]
     columns += [_head(n, asked, group) for group in ("rms error, selected poses", "random poses") for n in names]
-    columns += [Column("reduction by the last pose")]
+    columns += [Column("last pose gains")]
     rows = [
         [
             str(row.n_poses),
@@ -112,11 +112,11 @@ def show_counts(audit: AuditResults) -> list[PageSection]:
     ]
     figure = Figure(
         "pose_counts",
-        "Error over the workspace by unknown parameters: selected poses, and as many random ones.",
+        "Selected and random poses.",
         partial(draw_counts, mine, find_last_that_pays(mine), asked),
     )
     text = ()
-    return [make_section("Number of poses", text, (make_table("By the number of poses.", columns, rows),), (figure,))]
+    return [make_section("Number of poses", text, (make_table("By number of poses.", columns, rows),), (figure,))]
 
 
 # --- sets of sensors -------------------------------------------------------------------------------------------------
@@ -129,15 +129,15 @@ def show_sets(audit: AuditResults) -> list[PageSection]:
         return []
     shown, drawn = [], []
     required = "requirements" in tables
-    what = "the largest standard deviation as a share of its limit" if required else "rms over the workspace"
+    what = "largest sd / limit" if required else "rms over the workspace"
     for table, name, against, caption in (
-        ("best_sets", "sensor_sets", "number", "The best set of every number of sensors"),
+        ("best_sets", "sensor_sets", "number", "Best set by number"),
         ("front", "front", "cost", "Pareto front (cost, error)"),
     ):
         if table in tables:
             shown.append(_tabulate_best(audit, tables[table], caption))
             draw = partial(draw_sets, tables["sensor_sets"], tables[table], required, against)
-            drawn.append(Figure(name, f"Error of every set of sensors against their {against}, {what}.", draw))
+            drawn.append(Figure(name, f"Error of sensor sets by {against}, {what}.", draw))
     if "best_sets" in tables:
         shown.append(_tabulate_parameters(tables["best_set_parameters"]))
     if "infeasible_sets" in tables:
@@ -146,7 +146,7 @@ def show_sets(audit: AuditResults) -> list[PageSection]:
         rows = [[row.sensors if row.n_sensors else "none", REASONS[row.reason]] for row in lines[:MAX_LISTED_SETS]]
         more = f", the first {MAX_LISTED_SETS} of {len(lines)}" if len(lines) > MAX_LISTED_SETS else ""
         shown.append(make_table(f"Infeasible sets (maximal){more}.", columns, rows))
-    text = ("External sensors serve the calibration alone. Error: of unknown parameters and of the noise in use.",)
+    text = ("Error: parameters and noise in use.",)
     return [make_section("Sensor selection", text, shown, drawn)]
 
 
@@ -155,7 +155,7 @@ def _tabulate_best(audit: AuditResults, best: pd.DataFrame, caption: str) -> Tab
     columns = [Column("Sensors"), Column("Names", kind="text")]
     columns += [Column("Cost")] if "cost" in best else []
     columns += [Column("Sets"), Column("infeasible")] if "n_sets" in best else []
-    columns += [_head(name, asked, "rms error over the workspace") for name in names]
+    columns += [_head(name, asked, "rms error") for name in names]
     columns += [Column("Requirements", "probability of all")] if required else []
     rows: list[list[str | Cell]] = []
     for row in SensorSetRow.read(best):
@@ -175,10 +175,10 @@ def _tabulate_parameters(every: pd.DataFrame) -> Table:
     every = every.assign(symbol=every["parameter"].str.partition("[")[0], share=every["sd"] / every["prior_sd"])
     shares = every.groupby(["symbol", "n_sensors"], sort=False)["share"].max().unstack()
     columns = [Column("Parameter", kind="text")]
-    columns += [Column(f"{int(n)}", group="by the number of sensors") for n in shares.columns]
+    columns += [Column(f"{int(n)}", group="by number") for n in shares.columns]
     rows = [
         [str(symbol), *(format_fixed(float(one), 3) for one in values)]
         for symbol, values in zip(shares.index, shares.to_numpy(), strict=True)
     ]
-    caption = "Posterior sd / prior sd with the best sets; of several of a symbol the largest."
+    caption = "Posterior sd / prior sd, best sets."
     return make_table(caption, columns, rows)

@@ -33,8 +33,8 @@ KNOWN_LIMITS = (
 )
 """Tolerance over what the noise alone would leave of a combination: below, hardly anything is learnt; above, enough."""
 SIMULATED = {
-    "simulated_calibrations": "everything free within its tolerance",
-    "simulated_calibrations_reduced": "the reduced set free, the rest off by its tolerances and taken for nominal",
+    "simulated_calibrations": "full set free",
+    "simulated_calibrations_reduced": "reduced set free, rest nominal",
 }
 """What was free in the simulated calibrations of each key."""
 

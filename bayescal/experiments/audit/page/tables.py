@@ -112,10 +112,10 @@ def tabulate_symbols(results: AuditResults) -> Table:
         ),
         (Column("Contraction"), _span("contraction", format_contraction)),
         (Column("Verdict", kind="text"), _summarise_verdicts),
-        (Column(f"Reason, on the {results.member} that is known least", kind="text"), explain),
+        (Column(f"Reason, least-known {results.member}", kind="text"), explain),
     ]
-    notes = ("Identifiable: contraction ≥ 0.75. Not: most of the variance lies along undetermined combinations.",)
-    caption = f"Parameters by symbol; ranges are over the {results.member}s."
+    notes = ("Identifiable: contraction ≥ 0.75.",)
+    caption = f"Parameters by symbol, ranges over {results.member}s."
     return _tabulate(caption, fields, _by_symbol(results), notes, "wide parameters")
 
 
@@ -171,7 +171,7 @@ def build_ridges(results: AuditResults) -> tuple[Card, ...]:
         if not structural and (best := choose_for_ridge(results, first.pivot)) is not None:
             facts.append(f"Best alternative: “{best[0].name}”, contraction {format_contraction(best[1])}.")
         others = tuple(ridge.sentence for ridge in ridges[1:])
-        more, symbol = f"{len(others)} more of this kind", split_name(first.pivot)[0]
+        more, symbol = f"{len(others)} more", split_name(first.pivot)[0]
         cards.append(Card(symbol, where, (kind, Cell(words, level)), first.sentence, tuple(facts), more, others))
     return tuple(cards)
 
@@ -190,12 +190,12 @@ def _describe_ridges(results: AuditResults, ridges: list[AuditCombinationRow]) -
     if position > 0.0 or rotation > 0.0:
         moved = format_change(position, rotation, results.summary["units"])
         of_all = f" (the largest of all {results.member}s)" if len(ridges) > 1 else ""
-        facts.append(f"Largest effect of this step on a pose: {moved}{of_all}.")
+        facts.append(f"Largest effect of this step: {moved}{of_all}.")
     judged = [ridge for ridge in ridges if not math.isnan(ridge.sd_over_limit)]
     if judged:
         worst = max(judged, key=lambda ridge: ridge.sd_over_limit)
         most, limit = say_most(format_share(worst.sd_over_limit)), name_requirement(worst.limit)
-        facts.append(f"Effect on the tool {most} of the {limit} limit.")
+        facts.append(f"Effect on the tool: {most} of {limit}.")
     return facts
 
 
@@ -228,8 +228,8 @@ def tabulate_sets(results: AuditResults) -> Table | None:
         (Column("RMSE", "", reduced), write_reduced("reduced_true_error", "")),
         (Column("90 % coverage", "", reduced), cover_reduced),
     ]
-    note = "RMSE when all parameters deviate by one prior sd (first order); for fixed parameters RMSE = prior sd."
-    return _tabulate("Predicted sd against RMSE, full and reduced parameter set.", fields, _by_symbol(results), [note])
+    note = "RMSE at deviations of one prior sd (first order)."
+    return _tabulate("Predicted sd and RMSE, full and reduced set.", fields, _by_symbol(results), [note])
 
 
 def _judge_coverage(coverage: float) -> Cell:
@@ -245,13 +245,13 @@ def tabulate_selection(results: AuditResults) -> Table | None:
         least = format_contraction(step.contraction)
         if step.is_included:
             return f"minimum contraction {least}"
-        return f"adding it lowers the minimum contraction to {least}"
+        return f"minimum contraction falls to {least}"
 
     fields: list[Field] = [
         (Column("Symbol", kind="symbol"), lambda step: step.symbol),
         (Column("Information gain", "nat per parameter"), lambda step: write_two(step.nats)),
         (
-            Column("Least contraction", "of all chosen, with it"),
+            Column("Least contraction", "of all chosen"),
             lambda step: format_contraction(step.contraction),
         ),
         (
@@ -260,10 +260,10 @@ def tabulate_selection(results: AuditResults) -> Table | None:
         ),
         (Column("Reason", kind="text"), give_reason),
     ]
-    notes = [f"Included where all chosen parameters keep a contraction of {format_plain(IDENTIFIABLE_CONTRACTION)}."]
+    notes = [f"Included while contractions ≥ {format_plain(IDENTIFIABLE_CONTRACTION)}."]
     if extra := results.summary["also_identifiable"]:
-        notes.append(f"Could also include single parameters: {list_names(extra, results.member)}.")
-    caption = "Reduced set: symbols in the order in which they are tried."
+        notes.append(f"Also possible: {list_names(extra, results.member)}.")
+    caption = "Reduced set by symbol, in order."
     return _tabulate(caption, fields, results.steps, notes)
 
 
@@ -296,11 +296,8 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
     ]
     if not drawn:
         del fields[-2]
-    note = (
-        "Sd: largest of the workspace. Probability: that no pose exceeds the limit; met: at least "
-        f"{format_plain(LIKELY)}. Reduced set: all other parameters nominal."
-    )
-    caption = "Requirements on the pose before and after the calibration."
+    note = f"Sd: largest. Met: P ≥ {format_plain(LIKELY)} at all poses."
+    caption = "Requirements before and after."
     return _tabulate(caption, fields, results.requirements, [note])
 
 
@@ -330,7 +327,7 @@ def tabulate_changes(results: AuditResults) -> Table | None:
         return write
 
     fields: list[Field] = [
-        (Column("Change of the plan", kind="text"), name_change),
+        (Column("Plan change", kind="text"), name_change),
         (Column("Poses"), lambda change: str(change.n_poses)),
         (Column("Information gain", "nat"), lambda change: format_fixed(change.nats, 1)),
         (
@@ -345,9 +342,9 @@ def tabulate_changes(results: AuditResults) -> Table | None:
     ]
     notes = []
     if any(change.is_beyond_range for change in results.changes):
-        notes.append("†: beyond the actuators' range.")
+        notes.append("†: beyond actuator range.")
     if any(not change.is_feasible for change in results.changes):
-        notes.append("‡: poses not reachable.")
+        notes.append("‡: unreachable.")
     shown = fields if results.requirements else fields[:-1]
     return _tabulate("Alternative plans.", shown, [planned, *results.changes], notes, "wide")
 
@@ -362,7 +359,7 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
         (Column("Ridge of", kind="symbol"), lambda one: split_name(one[0].pivot)[0]),
         (Column(results.member.capitalize()), lambda one: str(split_name(one[0].pivot)[1] or NO_VALUE)),
         (Column("Contraction", "as planned"), lambda one: format_contraction(one[0].contraction)),
-        (Column("Best change within the actuators' range", kind="text"), lambda one: one[1][0].name),
+        (Column("Best plan change", kind="text"), lambda one: one[1][0].name),
         (Column("Contraction", "then"), lambda one: format_contraction(one[1][1])),
         (
             Column("", kind="text"),
@@ -371,7 +368,7 @@ def tabulate_ridge_help(results: AuditResults) -> Table | None:
             ),
         ),
     ]
-    return _tabulate("Best alternative for each weak combination.", fields, found)
+    return _tabulate("Best alternative by weak combination.", fields, found)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -403,7 +400,7 @@ def tabulate_profiles(results: AuditResults) -> Table | None:
         (Column("with the tolerances", "", group), write_interval("deviance_total")),
         (Column("Moves along", kind="text"), lambda one: _name_followers(results, one["parameter"].iloc[0])),
     ]
-    note = "Open: no finite 95 % interval found."
+    note = "Open: no finite 95 % interval."
     items = [one for _, one in profiles.groupby("parameter", sort=False)]
     return _tabulate("Profile likelihoods.", fields, items, [note])
 
@@ -422,7 +419,7 @@ def _name_followers(results: AuditResults, name: str) -> str:
         for other in sorted(share, key=lambda one: -share[one])[:FOLLOWERS]
         if share[other] > 0.1
     ]
-    return join_words(words) if words else "none by a tenth of its prior sd"
+    return join_words(words) if words else "none by 0.1 prior sd"
 
 
 def tabulate_posterior(results: AuditResults) -> Table | None:
@@ -440,11 +437,11 @@ def tabulate_posterior(results: AuditResults) -> Table | None:
             lambda group: format_range([drawn[row.parameter] for row in group], format_sd),
         ),
         (
-            Column("Ratio", "draws to information"),
+            Column("Ratio", "draws / linearised"),
             lambda group: format_range([drawn[row.parameter] / row.posterior_sd for row in group], write_two),
         ),
     ]
-    caption = "Posterior sd from draws and from the linearised information; ranges over legs."
+    caption = "Posterior sd: draws against linearised."
     return _tabulate(caption, fields, [group for group in groups if group])
 
 
@@ -469,9 +466,9 @@ def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
         (Column("90 % coverage"), lambda one: _judge_coverage(one["coverage_90"])),
     ]
     made = f"{simulated['n_converged']} of {count(simulated['n'], 'calibration')} converged"
-    caption = f"Errors of simulated calibrations and their prediction, rms over legs; {what}; {made}."
+    caption = f"Simulated calibrations, rms over legs; {what}; {made}."
     notes = [
-        f"All: coverage of 90 % intervals {format_share(simulated['coverage_90'])}, RMSE / predicted sd "
+        f"All: 90 % coverage {format_share(simulated['coverage_90'])}, RMSE / predicted sd "
         f"{format_significant(simulated['rms_z'], 3)}."
     ]
     kept = [
@@ -494,7 +491,7 @@ def tabulate_audit(results: AuditResults) -> Table:
     directions = ", ".join(f"{summary[f'n_{kind}']} {kind}" for kind in ("structural", "practical", "informed"))
     rows = [
         ["Audit", summary["name"]],
-        ["Units of tolerances, results and requirements", f"{name_unit(units['length'])}, {name_unit(units['angle'])}"],
+        ["Units", f"{name_unit(units['length'])}, {name_unit(units['angle'])}"],
         ["Structural rank", f"{rank}, {clear}{f', gap {format_sd(gap)}' if gap is not None else ''}"],
         ["Information gain", f"{format_fixed(summary['total_nats'], 1)} nat"],
         ["Directions", directions],

@@ -55,7 +55,7 @@ def state_headline(results: AuditResults) -> str:
     """Return which sensors to use, how accurate the tool will be against what is required, and what to do next."""
     parts, titles = [], name_titles(results.tables)
     if len(titles) > 1:
-        parts.append(f"Best of {say_count(len(titles))} sets of sensors: “{titles[results.best]}”")
+        parts.append(f"Best of {say_count(len(titles))} sensor sets: “{titles[results.best]}”")
     else:
         parts.append(describe_determined(results))
     if results.requirements:
@@ -70,12 +70,12 @@ def state_headline(results: AuditResults) -> str:
 def _say_next(results: AuditResults) -> str:
     """Return what to change of the plan where requirements are at risk, else to measure."""
     if not results.requirements:
-        return "Next: state [requirements] to get pass or fail"
+        return "Next: state [requirements]"
     if not _is_at_risk(results):
         return "" if results.is_measured else "Next: measure the planned poses"
     ranked = rank_help(results)
     helps = ranked and ranked[0][1]
-    return f"Next: change the plan to “{ranked[0][0].name}”" if helps else "Next: choose other sensors or requirements"
+    return f"Next: change the plan to “{ranked[0][0].name}”" if helps else "Next: change sensors or requirements"
 
 
 def _state_accuracy(results: AuditResults) -> list[str]:
@@ -83,7 +83,7 @@ def _state_accuracy(results: AuditResults) -> list[str]:
     rows = results.accuracy
     known = [row for row in rows if math.isfinite(row.posterior_sd)]
     if not known:
-        return ["the machine's own sensors do not determine its pose"] if rows else []
+        return ["own sensors do not determine the pose"] if rows else []
     asked = results.summary["units"]
     amounts = {row.coordinate: format_amount(row.posterior_sd, row.unit, 2, asked) for row in known}
     return [f"tool {say_accuracy(amounts)}, rms over the workspace"]
@@ -114,14 +114,12 @@ def list_key_figures(results: AuditResults) -> list[KeyFigure]:
     if results.requirements:
         least = min(find_probability(results, r) for r in results.requirements)
         together = min(results.together, least) if math.isfinite(results.together) else least
-        found.append(
-            KeyFigure("Requirements kept with P", format_probability(together), "", rate_probability(together))
-        )
+        found.append(KeyFigure("P of requirements", format_probability(together), "", rate_probability(together)))
     found.append(KeyFigure("Information", format_fixed(results.summary["total_nats"], 0), "nat"))
     if (simulated := results.summary.get("simulated_calibrations")) is not None:
         share, enough = simulated["coverage_90"], simulated["n_converged"] == simulated["n"]
         rated: Level = "good" if enough else "warning"
-        found.append(KeyFigure("Coverage of 90 % intervals, simulated", format_share(share), "", rated))
+        found.append(KeyFigure("Simulated 90 % coverage", format_share(share), "", rated))
     return found if len(found) > 3 else [*found, KeyFigure("Unidentifiable combinations", str(len(results.ridges)))]
 
 
@@ -131,10 +129,10 @@ def list_failures(results: AuditResults) -> list[Statement]:
     if not results.summary["structural_rank_is_clear"]:
         gap = results.summary.get("structural_gap")
         found = f"gap {format_fixed(gap, 1)}" if gap is not None else "no gap"
-        failures.append(f"Structural rank {results.summary['structural_rank']} is not clear: {found} in the spectrum.")
+        failures.append(f"Structural rank {results.summary['structural_rank']} is unclear: {found}.")
     posterior = results.summary.get("posterior")
     if posterior is not None and not posterior["converged"]:
-        failures.append("The posterior did not converge.")
+        failures.append("Posterior not converged.")
     return [Statement(text, "bad") for text in failures]
 
 
@@ -206,7 +204,7 @@ def _state_reduced(results: AuditResults) -> Iterator[Statement]:
         return
     ratio, coverage = reduced["rms_z"], reduced["coverage_90"]
     text = (
-        f"Reduced set {name_some(free)}: RMSE is {format_significant(ratio, 2)} times the stated sd, coverage "
+        f"Reduced set {name_some(free)}: RMSE / stated sd {format_significant(ratio, 2)}, coverage "
         f"{format_share(coverage)}."
     )
     action = f"Valid only if {name_some(others)} are nominal."
@@ -220,7 +218,7 @@ def _state_harm(results: AuditResults) -> Iterator[Statement]:
     lead, n = "Unidentifiable combinations", len(results.ridges)
     known = [ridge for ridge in results.ridges if not math.isnan(ridge.sd_over_limit)]
     if not known:
-        text = f"No requirement given: the effect of {n} unidentifiable combinations on the tool was not assessed."
+        text = f"Effect of {n} unidentifiable combinations not assessed: no requirement."
         yield Statement(text, "plain", lead, value=n)
         return
     worst = max(known, key=lambda ridge: ridge.sd_over_limit)
@@ -238,8 +236,8 @@ def _state_special_case(results: AuditResults) -> Iterator[Statement]:
     """Warn where a machine a little off the expected one has a larger rank."""
     elsewhere, rank = results.summary.get("structural_rank_elsewhere"), results.summary["structural_rank"]
     if isinstance(elsewhere, int) and elsewhere > rank:
-        text = f"Nominal geometry is a special case: rank {rank}, {elsewhere} slightly off nominal."
-        action = "Unidentifiable combinations may be weakly identifiable on the machine."
+        text = f"Nominal geometry is special: rank {rank}, {elsewhere} slightly off."
+        action = "These may be weakly identifiable."
         yield Statement(text, "warning", "Symmetry", value=rank, limit=elsewhere, action=action)
 
 
@@ -251,8 +249,8 @@ def _state_far_readings(results: AuditResults) -> Iterator[Statement]:
     names = name_some([str(one) for one in found["channels"]])
     reading = format_place("x_mm", float(found["reading_mm"]), asked)
     unit = name_unit("x_mm", asked)
-    text = f"Position and direction of {names} are strongly correlated: readings {reading} {unit} from zero."
-    action = "Move the zero to the middle of the readings."
+    text = f"Position and direction of {names} correlate: readings {reading} {unit} from zero."
+    action = "Move the zero to mid-range."
     yield Statement(text, "plain", "Actuators' zero", value=float(found["reading_mm"]), unit="mm", action=action)
 
 
@@ -283,11 +281,11 @@ def _share(requirement: AuditRequirementRow) -> float:
 def _state_requirements(results: AuditResults) -> Iterator[Statement]:
     requirements, lead = results.requirements, "Requirements"
     if not requirements:
-        yield Statement("No requirement given.", "plain", lead, action="State [requirements] to get pass or fail.")
+        yield Statement("No requirement given.", "plain", lead, action="State [requirements].")
         return
     lost = [name_requirement(r.requirement) for r in requirements if math.isnan(r.predicted_sd)]
     if lost:
-        yield Statement(f"{name_some(lost)}: not determined by the machine's own sensors.", "bad", lead)
+        yield Statement(f"{name_some(lost)}: not determined by own sensors.", "bad", lead)
         return
     n, failing = len(requirements), [r for r in requirements if not is_met(results, r)]
     worst = max(requirements, key=_share)
@@ -301,9 +299,9 @@ def _state_requirements(results: AuditResults) -> Iterator[Statement]:
     part = (worst.parameter_sd / worst.predicted_sd) ** 2 if worst.predicted_sd else 0.0
     action = ""
     if failing:
-        action = f"{format_share(part)} of its variance is geometry, reducible by calibration."
+        action = f"Geometry: {format_share(part)} of its variance."
     if worst.predicted_sd * math.sqrt(max(0.0, 1.0 - part)) > worst.limit:
-        action = "Sensor noise in use exceeds the limit; calibration cannot meet it."
+        action = "Sensor noise in use exceeds the limit."
     yield Statement(text, "bad" if failing else "plain", lead, value=_share(worst), limit=1.0, action=action)
 
 
@@ -345,7 +343,7 @@ def _state_help(results: AuditResults) -> Iterator[Statement]:
         return
     (change, helps), now = ranked[0], results.summary["total_nats"]
     if not helps:
-        text = "No alternative improves the result noticeably."
+        text = "No alternative helps noticeably."
         yield Statement(text, "plain", lead, value=change.nats, limit=now, unit="nat")
         return
     text = (
@@ -353,7 +351,7 @@ def _state_help(results: AuditResults) -> Iterator[Statement]:
         f"parameters {results.n_identifiable} → {change.n_identifiable}."
     )
     required = results.requirements and not _is_at_risk(results)
-    action = "All requirements are met without changes." if required else ""
+    action = "All requirements are met." if required else ""
     yield Statement(text, "plain", lead, value=change.nats, limit=now, unit="nat", action=action)
 
 
@@ -392,7 +390,7 @@ def _state_sets(results: AuditResults) -> Iterator[Statement]:
         return
     n_sets, asked = format_count(len(tables["sensor_sets"])), results.summary["sensor_selection"]
     if "best_sets" not in tables:
-        yield Statement(f"None of {n_sets} sets of sensors determines the pose.", "bad", lead, value=0.0)
+        yield Statement(f"None of {n_sets} sensor sets determines the pose.", "bad", lead, value=0.0)
         return
     row, required = find_enough(tables), [str(one) for one in asked["required_sensors"]]
     words = f"{row.n_sensors} of {len(asked['candidates'])} ({name_some(row.sensors.split(', ') or ['none'])})"
@@ -422,7 +420,7 @@ def _state_selected(results: AuditResults) -> Iterator[Statement]:
     left = float(last[f"{PARAMETER_ERROR}{row.coordinate}_{row.unit}"])
     chosen, planned = (format_amount(one, row.unit, 2, summary["units"]) for one in (left, row.posterior_sd))
     n = summary["plan"]["n_poses"]
-    text = f"{len(mine)} selected poses determine {row.coordinate} to {chosen}; the {n} planned ones to {planned}."
+    text = f"{len(mine)} selected poses: {row.coordinate} {chosen}; all {n}: {planned}."
     yield Statement(text, "plain", "Poses", value=left, limit=row.posterior_sd, unit=row.unit)
 
 
@@ -439,10 +437,10 @@ def _state_counts(results: AuditResults) -> Iterator[Statement]:
         return
     enough, most = find_last_that_pays(counts), int(counts["n_poses"].max())
     gain = float(counts["error_reduction"].iloc[-1])
-    text = f"From {enough} poses on, each reduces the error by less than {format_percent(MIN_ERROR_REDUCTION)}."
+    text = f"Beyond {enough} poses each gains less than {format_percent(MIN_ERROR_REDUCTION)}."
     action = ""
     if enough >= most:
-        text, action = f"The last of {most} poses reduces the error by {format_percent(gain)}.", "Measure more poses."
+        text, action = f"The last of {most} poses gains {format_percent(gain)}.", "Measure more poses."
     yield Statement(text, "plain", "Poses", value=gain, limit=MIN_ERROR_REDUCTION, action=action)
 
 
@@ -467,7 +465,7 @@ def _state_simulated(results: AuditResults) -> Iterator[Statement]:
     off = [symbol for symbol, values in simulated["symbols"].items() if is_off(values["ratio"], values["ratio_se"])]
     n, converged, share = simulated["n"], simulated["n_converged"], simulated["coverage_90"]
     lead = "Simulated calibrations"
-    text = f"{converged} of {n} converged; coverage of 90 % intervals {format_share(share)}."
+    text = f"{converged} of {n} converged; 90 % coverage {format_share(share)}."
     yield Statement(text, "good" if converged == n else "warning", lead, value=share, limit=COVERAGE)
     worst = max((values["ratio"] for values in simulated["symbols"].values()), key=lambda ratio: abs(ratio - 1.0))
     span = format_range([values["ratio"] for values in simulated["symbols"].values()], write_two)
@@ -488,9 +486,7 @@ def _state_posterior(results: AuditResults) -> Iterator[Statement]:
     angle, lead = posterior.get("principal_angle_deg"), "Posterior draws"
     if angle is not None:
         level: Level = "good" if angle <= AGREED_DEG else "warning"
-        text = (
-            f"Ridges of {format_count(posterior['n_draws'])} draws lie within {format_fixed(angle, 1)}° of the linear "
-        )
+        text = f"Ridges of {format_count(posterior['n_draws'])} draws: {format_fixed(angle, 1)}° from "
         yield Statement(f"{text}ones.", level, lead, value=angle, limit=AGREED_DEG, unit="deg")
     drawn, now = read_drawn_probabilities(results), {r.requirement: r.probability for r in results.requirements}
     for name, value in drawn.items():

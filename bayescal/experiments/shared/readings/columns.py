@@ -37,7 +37,7 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
     measured = np.isfinite(data.values) & (data.sd > 0.0) & ~_may_be_commands(model)
     if said := _list_copies(data, model, columns, measured & ~_is_commanded(data)):
         more = f"; so are {len(said) - MAX_NAMED} more" if len(said) > MAX_NAMED else ""
-        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor's own")
+        raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor")
 
 
 def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> list[str]:
@@ -47,13 +47,11 @@ def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
     """
     own, read = _may_be_commands(model), np.isfinite(data.values) & (data.sd > 0.0) & ~_is_commanded(data)
     said = _list_copies(data, model, columns, read & own)
-    found = [f"{one}: export what each sensor read, unless both were commanded so" for one in said]
+    found = [f"{one}: export each sensor, unless both were commanded so" for one in said]
     for k, one in enumerate(model.channels):
         values = data.values[read[:, k], k]
         if len(values) >= MIN_ROWS and not np.ptp(values) and _has_digits(values, data.sd[read[:, k], k], one.unit):
-            text = (
-                f"column {_name_column(one, columns)} has one value in all rows, without any noise: look at its sensor"
-            )
+            text = f"column {_name_column(one, columns)} is constant without any noise: check its sensor"
             found.append(f"{text}{', unless it was commanded so' if own[k] else ''}")
     return found[:MAX_NAMED]
 
@@ -122,6 +120,6 @@ def _fit_line(data: Measurements, values: Array, k: int, j: int) -> tuple[float,
 
 def _describe(name: str, copy: str, slope: float, offset: float) -> str:
     if (slope, offset) == (1.0, 0.0):
-        return f"columns {copy} and {name} are the same in all rows"
+        return f"columns {copy} and {name} are equal"
     line = f"{format_significant(offset, 4)} + {format_significant(slope, 6)} times {name}"
-    return f"column {copy} is {line} in all rows, without any noise"
+    return f"column {copy} is {line}, without noise"

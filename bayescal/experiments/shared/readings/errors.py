@@ -151,7 +151,7 @@ def build_terms_of_model(
     missing = own.find_missing(terms, _find_costly(others))
     if list(terms) != list(TERMS):  # asked for by name
         for name, why in [(name, why) for name, why in missing.items() if not own.is_covered(name)][:1]:
-            raise InputError(f"model_error: found term {name!r}, but {why}, expected other terms")
+            raise InputError(f"model_error: found term {name!r}, but {why}")
     floors = error.floors()
     lengths = {name for name, unit in zip(model.layout.names, model.layout.units, strict=True) if unit == "mm"}
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if name in lengths])
@@ -208,8 +208,7 @@ def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) 
     for name, floor in floors.items():
         if floor > largest:
             raise InputError(
-                f"model_error.floor_um: found {floor:g} µm for {name!r}, expected less than the largest "
-                f"tolerance, {largest:g} µm"
+                f"model_error.floor_um: found {floor:g} µm for {name!r}, expected less than {largest:g} µm"
             )
 
 

@@ -117,14 +117,13 @@ def find_frames(
     assert isinstance(placed, InstrumentedMachine)
     for symbol in wide:
         if isinstance(config.parameters.get(symbol), FixedConfig):
-            raise InputError(f"parameters.{symbol}: found it fixed, expected its value in [instruments]")
+            raise InputError(f"parameters.{symbol}: found fixed, expected its value in [instruments]")
     found = FoundFrames(instruments, wide)
     search = _Search.prepare(found.free(config), placed, readings, deviations, symbols)
     if search is None:
         for symbol in wide:
             raise InputError(
-                f"instruments: {symbol} is not stated, and the machine's own channels do not tell where its tool is; "
-                "expected its value"
+                f"instruments: {symbol}: missing, expected its value, as own channels do not locate the tool"
             )
         return found
     values, begin, told = dict[str, Instrument](), dict[str, float](), list[str]()
@@ -177,7 +176,7 @@ class _InstrumentFit:
             f"{_key(symbol, self.model)} = {_format(self.values[self.model.layout.index[symbol]], self.model, symbol)}"
             for symbol in unstated
         ]
-        return f"instruments.{name}: found from the data, with a wide prior: {', '.join(said)}"
+        return f"instruments.{name}: estimated with a wide prior: {', '.join(said)}"
 
 
 def _key(symbol: str, model: FunctionModel) -> str:
@@ -382,8 +381,8 @@ class _Problem:
         known = ~self.lost[self.free]
         if fits > FITS and (self.lost.any() or self.rms(start) > A_STEP * fits) and self._is_lost(found):
             raise InputError(
-                f"{name}: its readings lie {self._say(found)} from where the machine's own channels have the tool, "
-                "with the best frame; expected them nearer: look at units, signs, order of channels and of rows"
+                f"{name}: readings lie {self._say(found)} from the machine's own, with the best "
+                "frame: check units, signs, order of channels and rows"
             )
         if known.any() and fits <= FITS:
             self._check_stated(name, start, found, share, known)
@@ -460,10 +459,7 @@ class _Problem:
         instrument = self.model.machine
         assert isinstance(instrument, Instrument)
         if fits > FITS and instrument.find_mirrored(self.seen, self.tool[:, :3], _turn(self.tool[:, 3:])):
-            raise InputError(
-                f"{name}: its readings are those of a left-handed frame: one axis has the wrong sign, or two are "
-                "exchanged; expected x, y and z of a right-handed one"
-            )
+            raise InputError(f"{name}: readings are left-handed: check signs and order of x, y, z")
 
     def _check_stated(self, name: str, start: Array, found: Array, share: float, known: np.ndarray) -> None:
         """Raise InputError where stated values contradict what was found by many of their tolerances."""
@@ -486,9 +482,8 @@ class _Problem:
         said = [f"{_key(one, self.model)} = {self._say_values(one, found)}" for one in names]
         keys = join_words([_key(one, self.model) for one in names])
         raise InputError(
-            f"{name}: its readings lie {self._say(start)} from what the machine explains at the stated {keys}, and "
-            f"{self._say(found)} at {', '.join(said)}, {format_significant(off, 2)} tolerances away; expected "
-            "such values, or none, for the study to find them"
+            f"{name}: readings lie {self._say(start)} off at the stated {keys}, {self._say(found)} at "
+            f"{', '.join(said)} ({format_significant(off, 2)} tolerances away): state those, or none"
         )
 
     def _say_values(self, symbol: str, x: Array) -> str:

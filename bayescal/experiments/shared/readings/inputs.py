@@ -158,7 +158,7 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
         model = next(iter(models.values()))
         if models[one.name].names != model.names:
             first = config.variants[0].name
-            raise InputError(f"{file}: found other channels than variant {first!r} has, expected the same")
+            raise InputError(f"{file}: found other channels than in {first!r}, expected the same")
     if seen is not None:
         seen.check(next(iter(models.values())), config, folder)
     symbols = {symbol for one in models.values() for symbol in one.layout.symbols}
@@ -211,7 +211,7 @@ def _build(
     chosen = model.select(section.sensors if section.sensors is not None else config.sensors)
     chosen = chosen[np.isfinite(readings.values[rows][:, chosen]).any(axis=0)]
     if not len(chosen):
-        raise InputError("sensors: found no reading of any, expected some")
+        raise InputError("sensors: found no reading, expected some")
     whole, model = model, model.pick(chosen)
     priors, fixed, common = choose_priors(config, section, model.layout, symbols)
     data = Measurements(
@@ -259,9 +259,7 @@ def _build(
     terms = (*noise[: len(noise) - len(known)], *stated, *known)
     error = config.leg_error.of(section.model_error)
     if error.terms and config.channel_errors:
-        raise InputError(
-            f"model_error: found terms {error.terms} beside errors by channel in [model_error], expected one"
-        )
+        raise InputError(f"model_error: found terms {error.terms} and errors by channel, expected either")
     others = replace(unplaced.errors, terms=terms)
     own = find_own_channels(fitted.posterior(), data, start, used, reach, positions, workspace)
     found, missing = build_terms_of_model(error, model, data, own, priors, others)
@@ -324,14 +322,14 @@ def _check_machine(variant: Variant) -> None:
     with np.errstate(all="ignore"):
         there = legs.read(start[: legs.layout.size], legs.home_pose[None])[:, legs.select(legs.commanded)]
     if not np.isfinite(there).all():
-        raise InputError("found no machine at the priors' centres, expected unit directions and a home pose")
+        raise InputError("found no machine at the prior centres, expected unit directions and a home pose")
 
 
 def _check_moves(data: Measurements) -> None:
     """Raise InputError where nothing that was read differs from row to row."""
     moved = np.fmax.reduce(data.values) > np.fmin.reduce(data.values)
     if data.n_poses >= FEWEST_ROWS and not moved.any():
-        raise InputError(f"data: found the same readings in all {data.n_poses} rows, expected a machine that moves")
+        raise InputError(f"data: found equal readings in all {data.n_poses} rows, expected motion")
 
 
 def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingModel) -> None:
@@ -342,20 +340,16 @@ def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingM
                 f"data.commanded_channels: found {name!r}, expected some of {', '.join(whole.commanded) or 'none'}"
             )
         if name not in model.names:
-            raise InputError(
-                f"data.commanded_channels: found {name!r}, which is not among the sensors, expected it there"
-            )
+            raise InputError(f"data.commanded_channels: found {name!r}, expected it in [sensors]")
     q = len(model.coordinates)
     for row in np.unique(commanded[commanded.any(axis=1)], axis=0):
         units = [whole.channels[k].unit for k in np.flatnonzero(row)]
         if len(units) < q:
-            raise InputError(
-                f"data.commanded_channels: found {len(units)} channels, expected at least {q}, one per coordinate"
-            )
+            raise InputError(f"data.commanded_channels: found {len(units)} channels, expected at least {q}")
         if len(units) > q and len(set(units)) > 1:
             raise InputError(
-                f"data.commanded_channels: found {' and '.join(dict.fromkeys(units))}, expected one unit where "
-                f"{len(units)} channels command {q} coordinates"
+                f"data.commanded_channels: found {' and '.join(dict.fromkeys(units))}, expected one "
+                f"unit for {len(units)} channels and {q} coordinates"
             )
 
 
@@ -363,6 +357,6 @@ def _check_noise(data: Measurements, model: ReadingModel) -> None:
     missing = data.present & ~np.isfinite(data.sd)
     for k, channel in np.argwhere(missing)[:1]:
         raise InputError(
-            f"pose {data.poses[k]!r}: found a reading of {model.channels[channel].name} without noise, "
-            "expected an entry in [sensors] or a column of its own"
+            f"pose {data.poses[k]!r}: found no noise of {model.channels[channel].name}, expected it "
+            "in [sensors] or a column"
         )

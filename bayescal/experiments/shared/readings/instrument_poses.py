@@ -138,10 +138,7 @@ class SeenLegs:
     def find_matrix(self) -> Array:
         """Return K from the targets, mm per mm; InputError where there are none."""
         if self.pads is None:
-            raise InputError(
-                f"{self.reference}: found no target on a leg's pad, expected some, since deformation.matrix is "
-                "'targets'"
-            )
+            raise InputError(f"{self.reference}: found no pad target, expected some for deformation.matrix = 'targets'")
         return self.pads.matrix.matrix
 
     @property

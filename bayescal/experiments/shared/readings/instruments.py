@@ -74,10 +74,10 @@ def read_model(
     """
     if "kind" in read_toml(path)[0]:
         if variant.model is not None:
-            raise InputError(f"model: found {variant.model!r}, expected it of a mechanism's file alone, not of {path}")
+            raise InputError(f"model: found {variant.model!r}, expected none for {path}")
         return read_reading_model(path).with_optional(config.parameters)
     if variant.model is None:
-        raise InputError(f"model: missing, expected the kinematic model that the mechanism {path} is seen by")
+        raise InputError(f"model: missing, expected the kinematic model of {path}")
     seen = ModelConfig(model=variant.model, deformation=variant.deformation)
     inclined = any(name.partition("[")[0] in TILTS for name in config.sensors)
     machine = read_machine(path, seen, config.deformation, folder, matrix)

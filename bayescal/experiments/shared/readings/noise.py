@@ -48,7 +48,7 @@ def _factor(name: str, channel: Channel, field: str) -> float:
     if field == "noise":
         if channel.unit in ("mm", "rad"):
             expected = " or ".join(one for one, unit in NOISE_UNITS.items() if unit in units_like(channel.unit))
-            raise InputError(f"sensors.{name}: found noise without a unit, expected {expected}")
+            raise InputError(f"sensors.{name}: found no unit of noise, expected {expected}")
         return 1.0
     units = units_like(channel.unit)
     if NOISE_UNITS[field] not in units:
@@ -65,7 +65,7 @@ def build_noise(
         for name in stated:
             if name not in groups:
                 known = ", ".join(dict.fromkeys(filter(None, groups)))
-                raise InputError(f"{table}: found {name!r}, expected a group of channels: {known}")
+                raise InputError(f"{table}: found {name!r}, expected one of {known}")
     if section.noise_known:
         return ()
     members = {name: np.array([groups[k] == name for k in chosen]) for name in groups}
@@ -76,7 +76,7 @@ def build_noise(
     for name, one in config.channel_errors.items():
         units = {c.unit for g, c in zip(groups, model.channels, strict=True) if g == name}
         if members[name].any() and len(units) > 1:
-            raise InputError(f"model_error.{name}: found channels of several units, expected one")
+            raise InputError(f"model_error.{name}: found several units, expected one")
         if members[name].any():
             errors.append(ModelErrorTerm(name, members[name], one.scale, units.pop()))
     return (*factors, *errors)

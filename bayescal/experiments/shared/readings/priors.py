@@ -81,10 +81,7 @@ def check_optional(model: ReadingModel, free: Iterable[str]) -> None:
     for symbol, kind in model.optional.items():
         members = [name for name in model.layout.block(symbol).names if name in names]
         if members and not {f"{kind}{name.removeprefix(symbol)}" for name in members} & {*model.names}:
-            raise InputError(
-                f"parameters.{symbol}: found {members[0]} free where no actuator is read, "
-                f"expected {kind} among the sensors"
-            )
+            raise InputError(f"parameters.{symbol}: found {members[0]} free, expected {kind} among the sensors")
 
 
 def _choose_free(parameters: Mapping[str, PriorConfig], choice: FreeConfig, layout: ParameterLayout) -> set[str]:
@@ -99,7 +96,7 @@ def _choose_free(parameters: Mapping[str, PriorConfig], choice: FreeConfig, layo
         if entry in layout.symbols:  # the members of which no width is zero
             named -= known if named & with_prior else set()
         if not named <= with_prior:
-            raise InputError(f"free: found {entry!r} without a prior in [parameters], expected a normal or uniform one")
+            raise InputError(f"free: found {entry!r}, expected a prior in [parameters]")
         free |= named
     return free.difference(*(expand(entry, layout, "fixed") for entry in choice.fixed))
 
@@ -110,7 +107,7 @@ def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:
         return layout.block(entry).names
     if entry in layout.names:
         return (entry,)
-    raise InputError(f"{field}: found {entry!r}, expected some of {', '.join(layout.symbols)}, or one of their names")
+    raise InputError(f"{field}: found {entry!r}, expected some of {', '.join(layout.symbols)}, or a name")
 
 
 def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str = "parameters") -> list[float]:
@@ -165,8 +162,8 @@ def check_ranges(
             raise InputError(f"parameter {name}: {found}")
         if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
             raise InputError(
-                f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, "
-                f"expected it between {lower:g} and {upper:g}"
+                f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, expected "
+                f"it within {lower:g} to {upper:g}"
             )
 
 
@@ -179,10 +176,10 @@ def _list_common(
         names = [entry] if isinstance(entry, str) else entry
         members = tuple(dict.fromkeys(one for name in names for one in expand(name, layout, "tied")))
         if len(members) < 2:
-            raise InputError(f"tied: found {entry!r}, one parameter, expected at least two")
+            raise InputError(f"tied: found {entry!r}, one parameter, expected two")
         for name in members:
             if name not in priors:
-                raise InputError(f"tied: found {name!r}, which is not free, expected free parameters")
+                raise InputError(f"tied: found {name!r}, which is fixed, expected free parameters")
         common[_name(members)] = members
     return common
 

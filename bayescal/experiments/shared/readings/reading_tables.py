@@ -56,9 +56,7 @@ class PoseReadings:
             if channel not in taken:
                 files.setdefault(file, []).append(column)
         listed = "; ".join(f"{', '.join(columns)} of {file}" for file, columns in files.items())
-        return (
-            f"Not used: {listed}; expected their channels in [sensors], or the columns in data.ignore" if files else ""
-        )
+        return f"Not used: {listed}; expected them in [sensors], or in data.ignore" if files else ""
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Chan
         for one in table.columns:
             if one in known and known[one].role == "values" and set(known[one].places) & {k, k + 1, k + 2}:
                 other = next(name for name in table.columns if name in others)
-                raise InputError(f"{table.path}: found column {one!r} beside {other!r}, expected rotations in one form")
+                raise InputError(f"{table.path}: found {one!r} and {other!r}, expected one rotation form")
         vectors = read_rotation_vectors(table, prefix)
         kept = [place for place, name in enumerate(table.columns) if name not in others]
         rows = tuple(
@@ -162,7 +160,7 @@ def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) 
     """Return what a column's name lacks, or which one is near."""
     for one in channels:
         if name == one.stem or name.startswith(f"{one.stem}_"):
-            return f", whose unit is none of {', '.join(units_like(one.unit))}"
+            return f", expected unit {', '.join(units_like(one.unit))}"
     usual = [f"{one.stem}_{one.unit}" for one in channels] + [key for key, one in known.items() if one.role == "given"]
     close = difflib.get_close_matches(name, usual, n=1)
     return f", did you mean {close[0]!r}?" if close else ""
@@ -172,7 +170,7 @@ def _check(
     table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig
 ) -> CsvTable:
     if "pose" not in table.columns:
-        raise InputError(f"{table.path}: found no column 'pose', expected the poses' names")
+        raise InputError(f"{table.path}: found no column 'pose'")
     taken: dict[tuple[str, tuple[int, ...]], str] = {}
     for name in table.columns:
         if name in ("pose", "use", *section.ignore):
@@ -181,8 +179,7 @@ def _check(
             expected = ", ".join(f"{one.stem}_{one.unit}" for one in channels)
             hint = _hint(name, channels, known)
             raise InputError(
-                f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}; leave out others, or name "
-                "them in data.ignore"
+                f"{table.path}: found column {name!r}{hint}, expected pose, use, {expected}; others in data.ignore"
             )
         column = known[name]
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
@@ -192,7 +189,7 @@ def _check(
         for name in getattr(section, key):
             asked = [one.name for one in channels if name in (one.name, one.kind)]
             if missing := [one for one in asked or [name] if one not in read]:
-                raise InputError(f"{table.path}: found no column of channel {missing[0]!r}, which is in data.{key}")
+                raise InputError(f"{table.path}: found no column of {missing[0]!r}, which data.{key} names")
     return table
 
 
@@ -201,9 +198,7 @@ def pose_names(table: CsvTable) -> list[str]:
     names, known = table.text("pose"), dict[str, int]()
     for row, name in enumerate(names):
         if (first := known.setdefault(name, row)) != row:
-            raise InputError(
-                f"{table.where(row)}: pose {name!r} is already on line {table.lines[first]}, expected it once"
-            )
+            raise InputError(f"{table.where(row)}: pose {name!r}: already on line {table.lines[first]}")
     return names
 
 
@@ -218,7 +213,7 @@ def _fill(
     held, ignored = section.verification_poses, section.ignore
     for name in held:
         if name not in found.poses:
-            raise InputError(f"{table.path}: verification_poses: found {name!r}, expected the name of a pose")
+            raise InputError(f"{table.path}: verification_poses: found {name!r}, expected a pose")
     found.verification[rows] |= np.isin(np.array(found.poses, dtype=object)[rows], list(held))
     if "use" in table.columns:
         for row, use in enumerate(table.text("use")):
@@ -242,8 +237,8 @@ def _fill(
             into, k = (found.values if column.role == "values" else found.sd), column.places[0]
             for at in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):
                 raise InputError(
-                    f"{table.where(int(at))}: {name}: found a second reading of {channels[k].name} at pose "
-                    f"{found.poses[rows[at]]!r}, expected one; another table has it already"
+                    f"{table.where(int(at))}: {name}: found a second reading of {channels[k].name} at "
+                    f"pose {found.poses[rows[at]]!r}, expected one"
                 )
             for at in np.flatnonzero((values < 0.0) & (column.role == "sd"))[:1]:
                 raise InputError(f"{table.where(int(at))}: {name}: found {values[at]:g}, expected no negative noise")
@@ -254,7 +249,7 @@ def _fill(
         if {channel.name, channel.kind} & set(section.commanded_channels):
             for row in np.flatnonzero(~np.isfinite(found.values[rows, k]))[:1]:
                 where = table.where(int(row))
-                raise InputError(f"{where}: found no {channel.name}, expected it as data.commanded_channels says")
+                raise InputError(f"{where}: found no {channel.name}, expected it by data.commanded_channels")
             found.commanded[rows, k] = True
 
 
@@ -266,7 +261,7 @@ def _fill_correlation(
     if column.covariance:
         sd = found.sd[rows][:, [j, k]]
         for row in np.flatnonzero(np.isfinite(values) & ~(sd > 0.0).all(axis=1))[:1]:
-            raise InputError(f"{table.where(int(row))}: {name}: found no variance of both, expected it in columns cov_")
+            raise InputError(f"{table.where(int(row))}: {name}: found no variance, expected cov_ columns of both")
         values = column.factor * values / sd.prod(axis=1)
     for row, value in enumerate(values):
         if np.isfinite(value):
@@ -277,11 +272,11 @@ def _fill_correlation(
 
 def _check_poses(found: PoseReadings, path: Path) -> None:
     if found.verification.all():
-        raise InputError(f"{path}: found no pose for calibration, expected some")
+        raise InputError(f"{path}: found no calibration pose, expected some")
     empty = ~np.isfinite(found.values).any(axis=1)
     for k in np.flatnonzero(empty)[:1]:
-        raise InputError(f"{path}: pose {found.poses[k]!r}: found no reading, expected at least one")
+        raise InputError(f"{path}: pose {found.poses[k]!r}: found no reading, expected one")
     if found.correlation is not None:
         smallest = np.linalg.eigvalsh(found.correlation)[:, 0]
         for k in np.flatnonzero(smallest <= 0.0)[:1]:
-            raise InputError(f"{path}: pose {found.poses[k]!r}: found a covariance that is not positive, expected one")
+            raise InputError(f"{path}: pose {found.poses[k]!r}: found an indefinite covariance")

@@ -27,7 +27,7 @@ class ProvenanceConfig(Section):
     @model_validator(mode="after")
     def _check_source(self) -> Self:
         if self.status == "measured" and not (self.source and self.licence):
-            raise ValueError("found measured data without source or licence, expected both")
+            raise ValueError("found measured data, expected source and licence")
         return self
 
 

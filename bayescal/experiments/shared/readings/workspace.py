@@ -113,10 +113,10 @@ def build_workspace(
     )
     if isinstance(given, WorkspaceConfig):
         if tuple(names) != POSE:
-            raise InputError(f"workspace: found half widths of a pose, expected bounds of {', '.join(names) or 'none'}")
+            raise InputError(f"workspace: found half widths, expected bounds of {', '.join(names) or 'none'}")
         half = np.concatenate([given.position_mm, np.radians(given.rotation_deg)])
         if not half.any():
-            raise InputError("workspace: found half widths of zero alone, expected one above it")
+            raise InputError("workspace: found zero half widths, expected one above zero")
         return Workspace(model.home_pose - half, model.home_pose + half, scale, given.shape, given.poses)
     for name in given:
         if name not in names:
@@ -128,7 +128,7 @@ def build_workspace(
         elif one.reach > 0.0:
             bounds.append([one.home - one.reach, one.home + one.reach])
         else:
-            raise InputError(f"workspace: found no {one.name}, expected its smallest and its largest value")
+            raise InputError(f"workspace: found no {one.name}, expected its smallest and largest value")
     low, high = np.array(bounds).reshape(-1, 2).T
     return Workspace(low, high, scale)
 
@@ -160,7 +160,7 @@ def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:
             raise InputError(f"conditions: found {name!r}, expected some of {', '.join(model.given) or 'none'}")
     for name in model.given:
         if name not in given:
-            raise InputError(f"conditions: found no {name}, expected its smallest and its largest value")
+            raise InputError(f"conditions: found no {name}, expected its smallest and largest value")
 
 
 def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Generator) -> dict[str, Array]:
@@ -179,7 +179,7 @@ def draw_standing(
         if not lost.any():
             return pose, exact
         pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
-    raise InputError("workspace: found almost no pose that the machine can take, expected a smaller workspace")
+    raise InputError("workspace: found few reachable poses, expected a smaller workspace")
 
 
 def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
@@ -233,8 +233,8 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
     likelihood, q = posterior.likelihood, pose.shape[1]
     for k in np.flatnonzero(likelihood.n_readings < q)[:1]:
         raise InputError(
-            f"pose {likelihood.data.poses[k]!r}: found {likelihood.n_readings[k]} readings, expected at least {q}, "
-            "as many as it has coordinates; leave out coordinates that no reading depends on"
+            f"pose {likelihood.data.poses[k]!r}: found {likelihood.n_readings[k]} readings, expected "
+            f"at least {q}; omit coordinates that no reading depends on"
         )
     if not q:
         return
@@ -244,6 +244,6 @@ def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspac
     values = np.linalg.svd(slope[0, somewhere] * workspace.half, compute_uv=False)
     for k in somewhere[values[:, -1] <= SINGULAR * values[:, 0]][:1]:
         raise InputError(
-            f"pose {likelihood.data.poses[k]!r}: found readings that do not determine all {q} coordinates, expected "
-            "some that do; leave out coordinates that no reading depends on"
+            f"pose {likelihood.data.poses[k]!r}: found readings that do not determine {q} "
+            "coordinates; omit coordinates that no reading depends on"
         )

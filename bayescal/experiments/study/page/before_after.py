@@ -17,8 +17,8 @@ from bayescal.report.blocks import Block, Cell, Column, Figure, PageSection, Tab
 from bayescal.report.numbers import format_percent, format_significant
 from bayescal.report.style import RED
 
-HELD = "Position errors at the tool of {n} held-back poses, before and after calibration. {frame}"
-ALIGNED = "Base frames are fitted to the calibration poses."
+HELD = "Position errors of {n} verification poses, before and after. {frame}"
+ALIGNED = "Base frames fitted to calibration poses."
 POSITION = "position"
 
 
@@ -63,7 +63,7 @@ def draw_held_back(held: pd.DataFrame, limit: float | None) -> Drawing:
         axes.axvline(1e3 * limit, color=RED, linewidth=1.2, label=f"required: {format_significant(1e3 * limit, 2)} µm")
     axes.set_xscale("log")
     axes.set_ylim(0.0, 105.0)
-    axes.set_xlabel("Position error at the tool in µm")
+    axes.set_xlabel("Position error (µm)")
     axes.set_ylabel("Share of poses in %")
     axes.grid(True)
     figure.legend(loc="outside upper left", ncols=3)
@@ -77,7 +77,7 @@ def _tabulate_held_back(held: pd.DataFrame) -> Table:
         size = 1e3 * held[column].to_numpy()
         numbers = np.sqrt(np.mean(size**2)), size.mean(), size.max()
         rows.append([label, *(format_significant(float(one), 2) for one in numbers)])
-    return make_table("Position errors of held-back poses.", columns, rows)
+    return make_table("Verification position errors.", columns, rows)
 
 
 def _tabulate_required(study: StudyResults) -> Table | None:
@@ -91,6 +91,4 @@ def _tabulate_required(study: StudyResults) -> Table | None:
         return None
     columns = [Column("Requirement", kind="text"), Column("Unit", kind="text"), Column("allowed")]
     columns += [Column("kept with 95 %"), Column("Probability")]
-    return make_table(
-        "Errors at every pose of the workspace, and with which probability they are allowed.", columns, rows
-    )
+    return make_table("Workspace errors, probability to meet limits.", columns, rows)

@@ -25,7 +25,7 @@ from bayescal.experiments.study.page.soundness import has_warnings, list_failure
 from bayescal.experiments.study.page.verdict import list_key_figures, state_headline, state_verdict
 from bayescal.report.blocks import Page, PageSection
 
-NO_HEADLINE = "Results were computed; see what of the page could not be made."
+NO_HEADLINE = "Results were computed; part of the page failed."
 
 type PageBlock = Callable[[StudyResults], PageSection | None]
 """A part of the page of any study; None where these results have nothing for it."""
@@ -88,7 +88,7 @@ def build_page(results: Results) -> Page:
         sections=show_sections(BLOCKS, study),
         facts=(
             ("Machine", str(summary["machine"])),
-            ("Data of the variant to use", str(study.fit(study.chosen)["data_set"])),
+            ("Data of the leading variant", str(study.fit(study.chosen)["data_set"])),
         ),
         failures=tuple(list_failures(study)),
         key_figures=attempt("the first figures", lambda: tuple(list_key_figures(study)), ()),

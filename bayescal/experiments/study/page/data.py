@@ -30,45 +30,45 @@ from bayescal.report.blocks import (
 from bayescal.report.numbers import NO_VALUE, capitalise, format_estimate, format_fixed, format_significant, join_words
 
 SHOWN_TARGETS = 20
-INSTRUMENTS = {"poses": "poses, whole or in part, as an instrument hands them out", "points": "tracked points"}
-TARGETS = "χ² per degree of freedom: 1 where targets scatter about rigid bodies by their stated noise."
-POINTS = "χ² per degree of freedom: 1 where points scatter about the rigid probe by their stated noise."
+INSTRUMENTS = {"poses": "poses", "points": "tracked points"}
+TARGETS = "χ² / dof: 1 if the target noise is right."
+POINTS = "χ² / dof: 1 if the point noise is right."
 
 type Symbol = tuple[str, str]
 
 KAPPA: Symbol = (
     "kappa",
-    "deflection of a platform joint per displacement: of its own actuator (linear), the diagonal of K (matrix)",
+    "platform joint deflection / actuator displacement",
 )
-MATRIX: Symbol = ("K", "deflection of all platform joints per displacement of all actuators")
-ERROR = "model error: standard deviation of what differs from pose to pose along a {}, beyond the noise"
+MATRIX: Symbol = ("K", "platform joint deflections by actuators")
+ERROR = "random model error along a {}, sd"
 SYMBOLS: tuple[Symbol, ...] = (
-    ("a", "joint of a leg's actuator on the base, base frame"),
-    ("b", "joint of a leg on the platform, platform frame"),
-    ("u", "direction of an actuator, a unit vector"),
-    ("l", "length of a leg; of a strut, at the initial position of its actuator"),
-    ("rho", "position of an actuator; Δρ its displacement from the initial position"),
-    ("rho0", "initial position of an actuator"),
+    ("a", "base joint, base frame"),
+    ("b", "platform joint, platform frame"),
+    ("u", "actuator direction, unit vector"),
+    ("l", "leg length"),
+    ("rho", "actuator position; Δρ: displacement"),
+    ("rho0", "initial actuator position"),
     KAPPA,
     MATRIX,
     ("tau", ERROR.format("leg")),
 )
-GAIN: Symbol = ("gain", "true travel of an actuator over what it reads, both from the initial position")
+GAIN: Symbol = ("gain", "true travel / reading")
 STRUTS: tuple[Symbol, ...] = (
-    ("a", "joint of a strut on the base, base frame"),
-    ("b", "joint of a strut on the platform, platform frame"),
-    ("l", "length of a strut at the initial position of its actuator"),
-    ("rho", "position of an actuator; Δρ, its displacement from the initial position, lengthens the strut"),
+    ("a", "base joint, base frame"),
+    ("b", "platform joint, platform frame"),
+    ("l", "initial strut length"),
+    ("rho", "actuator position; Δρ lengthens the strut"),
 )
 FRAMES: tuple[Symbol, ...] = (
-    ("base_x … base_rz", "frame of the instrument against the base: displacement and rotation vector"),
-    ("tool_x … tool_rz", "frame of the probe against the platform: displacement and rotation vector"),
+    ("base_x … base_rz", "instrument frame: displacement, rotation vector"),
+    ("tool_x … tool_rz", "probe frame: displacement, rotation vector"),
 )
-NOTATION = "Notation; subscripts x, y, z are components, a leg's number is in the column's heading."
+NOTATION = "Notation."
 LEVELS: dict[str, Level] = dict(zip(CLAIM_VERDICTS, ("good", "bad", "plain"), strict=True))
 PLURAL = {"holds": "hold", "does not hold": "do not hold", "not testable": "are not testable"}
 OWN = "own"  # section of findings that the publication does not state
-CLAIMS = "A claim opens to say how it was tested."
+CLAIMS = "Open a claim for its test."
 
 
 UNKNOWN = {"noise_factor": "Noise", "model_error": "Model error"}
@@ -95,14 +95,14 @@ def state_data(study: StudyResults) -> list[Statement]:
     fit = study.fit(study.chosen)
     n, m = get_number(fit, "n_equations"), fit["n_parameters"]
     if n < m:
-        text = f"{n:.0f} equations for {m} unknowns: undetermined combinations are prior-dominated."
+        text = f"{n:.0f} equations for {m} unknowns: prior-dominated."
         found.append(Statement(text, "warning", "Data", value=n, limit=m))
     for row in study.rows(ParameterRow, study.chosen):
         kind, _, what = row.parameter.rstrip(")").partition("(")
         factor, unit = study.shown_in(row.unit)
         amount, mean = format_estimate(factor * row.mean, factor * row.sd), factor * row.mean
         if kind in UNKNOWN and not is_learnt(row):
-            found.append(Statement(f"{UNKNOWN[kind]} of {what}: not determined by the data.", lead="Noise"))
+            found.append(Statement(f"{UNKNOWN[kind]} of {what}: not determined.", lead="Noise"))
         elif kind == "noise_factor":
             text = f"Noise of {what}: {amount} times the stated one."
             found.append(Statement(text, lead="Noise", value=mean, limit=1.0))
@@ -127,7 +127,7 @@ def show_data(study: StudyResults) -> PageSection | None:
         rejected = [str(target) for target in extraction["rejected_targets"]]
         rows += [
             ["Pose extraction", extraction["method"]],
-            ["χ² per degree of freedom of the rigid fits", format_fixed(get_number(extraction, "chi2_per_dof"), 3)],
+            ["Rigid fits, χ² / dof", format_fixed(get_number(extraction, "chi2_per_dof"), 3)],
             ["Rejected targets", f"{len(rejected)}: {_shorten(rejected)}" if rejected else "none"],
         ]
         notes.append(Statement(TARGETS))
@@ -141,13 +141,13 @@ def _list_readings(instrument: dict[str, Any], n_poses: int) -> list[list[str]]:
     """Return what an instrument read: coordinates of poses, or points by stations."""
     kind = str(instrument.get("instrument"))
     free = ", ".join(str(frame) for frame in instrument.get("free_frames", []))
-    rows = [["Instrument", INSTRUMENTS.get(kind, kind)], ["Frames found with the machine", free or "none, all known"]]
+    rows = [["Instrument", INSTRUMENTS.get(kind, kind)], ["Estimated frames", free or "none, all known"]]
     if "points" in instrument:
         rows += [
             ["Stations", _shorten([str(name) for name in instrument["stations"]])],
-            ["Points on the platform", f"{len(instrument['points'])}: {_shorten(instrument['points'])}"],
+            ["Platform points", f"{len(instrument['points'])}: {_shorten(instrument['points'])}"],
             ["Points seen, missed", f"{instrument['n_seen']}, {instrument['n_missed']}"],
-            ["χ² per degree of freedom of the rigid fits", format_fixed(get_number(instrument, "chi2_per_dof"), 3)],
+            ["Rigid fits, χ² / dof", format_fixed(get_number(instrument, "chi2_per_dof"), 3)],
         ]
     elif "measured_coordinates" in instrument:
         counts = instrument["measured_coordinates"]
@@ -199,7 +199,7 @@ def list_counts(study: StudyResults) -> list[tuple[str, tuple[Cell, ...]]]:
         return []
     claims = study.table("claims")
     own = claims["section"] == OWN
-    counted = [("Stated by the publication", claims[~own]), ("Found beyond it", claims[own])]
+    counted = [("Publication", claims[~own]), ("Beyond it", claims[own])]
     return [(title, tuple(_count(rows))) for title, rows in counted if len(rows)]
 
 
@@ -239,7 +239,7 @@ def tabulate_claims(claims: pd.DataFrame) -> Table:
     for section in sorted(dict.fromkeys(claims["section"]), key=_order):
         headings[len(rows)] = _title(section)
         rows += [_describe_claim(claim) for claim in ClaimRow.read(claims) if claim.section == section]
-    return replace(make_table("Claims and findings.", columns, rows, style="claims"), headings=headings)
+    return replace(make_table("Claims.", columns, rows, style="claims"), headings=headings)
 
 
 def _order(section: str) -> tuple[bool, list[int], str]:
@@ -248,7 +248,7 @@ def _order(section: str) -> tuple[bool, list[int], str]:
 
 def _title(section: str) -> str:
     if section == OWN:
-        return "Beyond the publication: findings of this project"
+        return "Project findings"
     if not section[:1].isdigit():
         return section or "Without section"
     return f"{'Sections' if ',' in section else 'Section'} {section}"
@@ -291,7 +291,7 @@ def state_comparison(study: StudyResults) -> list[Statement]:
         unknown = {row.parameter for row in study.rows(ParameterRow, study.chosen) if not is_learnt(row)}
         rows = [row for row in every if row.quantity not in unknown]
         if not rows:
-            found.append(Statement(f"“{title}”: the data determine none of these quantities.", lead="Comparison"))
+            found.append(Statement(f"“{title}”: none of these quantities is determined.", lead="Comparison"))
             continue
         worst = max(rows, key=lambda row: abs(_measure_distance(row)))
         near = sum(abs(_measure_distance(row)) <= 2.0 for row in rows)
@@ -305,13 +305,13 @@ def state_comparison(study: StudyResults) -> list[Statement]:
 def show_comparison(study: StudyResults) -> PageSection | None:
     """Return the values of others with the posterior; None without any."""
     columns = [Column("Quantity", kind="text"), Column("Unit", kind="text"), Column("calibrated"), Column("other")]
-    columns += [Column("Difference"), Column("in standard deviations")]
+    columns += [Column("Difference"), Column("in sd")]
     blocks: list[Block] = []
     for title, rows in _list_others(study).items():
         source = f" ({rows[0].source})" if rows[0].source else ""
         lines = [_compare(study, row) for row in rows]
-        blocks.append(make_table(f"{title}{source}. These values stay out of the fit.", columns, lines))
-    title = "Comparison with other values"
+        blocks.append(make_table(f"{title}{source}. Not part of the fit.", columns, lines))
+    title = "Comparison"
     return PageSection(title, tuple(blocks), anchor="comparison", short="Comparison") if blocks else None
 
 

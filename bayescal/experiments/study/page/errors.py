@@ -51,13 +51,10 @@ SLANTED: dict[str, Any] = {"rotation": 25, "ha": "right", "rotation_mode": "anch
 NINETY = 1.645
 RANGE = 0.95  # of the binomial distribution, where a coverage is as expected
 MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
-BARS = "full bar: largest error, line: mean, both as numbers; of the posterior mean prediction"
-BOUNDS = (
-    "Position error of every pose over its predicted 95 % bound (open: verification); one in twenty is expected beyond "
-    "1, many red points: overconfident."
-)
-HELD_BACK = "Each predicted from the other readings of its pose and a calibration without that pose."
-WEIGHTS = "Weight: mean precision of a pose in the outlier model; near 0 for an outlier."
+BARS = "full bar: largest error, line: mean"
+BOUNDS = "Position error / 95 % bound. Open: verification; many red: overconfident."
+HELD_BACK = "Each predicted without its pose."
+WEIGHTS = "Weight near 0: outlier."
 
 
 # --- errors of measured poses ----------------------------------------------------------------------------------------
@@ -67,7 +64,7 @@ def show_errors(study: StudyResults) -> PageSection | None:
     """Return errors of poses, and how often bounds and intervals hold them; None where no poses were measured."""
     if not study.has("pose_errors"):
         return None
-    title = "Coverage: how many measurements lie inside their intervals, variant by variant"
+    title = "Coverage by variant"
     table = study.table("pose_errors")
     seen = [name for name in study.ranking if name in set(table["variant"])]
     blocks: list[Block] = [*_illustrate_errors(study)]
@@ -80,7 +77,7 @@ def show_errors(study: StudyResults) -> PageSection | None:
 def _tabulate_coverage(study: StudyResults) -> Table:
     """Return how often intervals and bounds hold the measurements, for every variant whose poses were seen."""
     uses = USES if study.n_verification else USES[:1]
-    kinds = ("90 % intervals, all components", *(f"95 % bound, {scale.what}" for scale in study.error_scales))
+    kinds = ("90 % coverage", *(f"95 % bound, {scale.what}" for scale in study.error_scales))
     columns = [VARIANT, *(Column(use, "%", kind) for kind in kinds for use in uses)]
     rows = []
     for name, fit in study.fits.items():
@@ -97,8 +94,8 @@ def _tabulate_coverage(study: StudyResults) -> Table:
                 inside = poses[scale.column] <= poses[scale.bound]
                 cells.append(format_percent(float(inside.mean()) if len(poses) else None).rstrip(" %"))
         rows.append(cells)
-    note = "Marked where the coverage lies two standard errors or more below 90 %, a pose counted as one trial."
-    caption = "Share of the measurements inside their predictive intervals and bounds; nominal 90 % and 95 %."
+    note = "Marked: two standard errors below 90 %."
+    caption = "Coverage of predictive intervals; nominal 90 %, 95 %."
     return make_table(caption, columns, rows, [Statement(note)])
 
 
@@ -115,7 +112,7 @@ def _illustrate_errors(study: StudyResults) -> list[Figure]:
         name = f"errors_{deformation if re.fullmatch(r'\w+', deformation, re.ASCII) else k}"
         words = describe_deformation(deformation)
         title = f"{words[0].upper()}{words[1:]}"
-        caption = f"{title}{study.cite('figures', name)}: {BARS}; the axes are the same for all deformations."
+        caption = f"{title}{study.cite('figures', name)}: {BARS}; common axes."
         variants = [one for one in study.find(deformation=deformation) if one in seen]
         shown += [Figure(name, caption, partial(bars, variants, title))] if variants else []
     return shown
@@ -192,7 +189,7 @@ def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Sty
     for k, name in enumerate(variants):
         _draw_strip(axes, frame[frame["variant"] == name], k, styles[name].colour)
     axes.axvline(1.0, color=INK, linewidth=0.9)
-    axes.set_xlabel("Position error / its 95 % bound")
+    axes.set_xlabel("Error / 95 % bound")
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
     axes.set_xscale("log")
@@ -239,7 +236,7 @@ def state_held_back(study: StudyResults) -> list[Statement]:
     if mine.empty:
         return others
     share, n = float(mine["in_interval_90"].mean()), len(mine)
-    text = f"{int(mine['in_interval_90'].sum())} of {n} held-back readings of the machine's own sensors"
+    text = f"{int(mine['in_interval_90'].sum())} of {n} verification readings"
     return [_judge_coverage(text, "Prediction", share, int(mine["pose"].nunique())), *others]
 
 
@@ -259,7 +256,7 @@ def _state_lost(study: StudyResults) -> list[Statement]:
     if lost.empty:
         return []
     names = [f"{quote(channel)} of {pose}" for pose, channel in zip(lost["pose"], lost["channel"], strict=True)]
-    text = f"{len(lost)} of {len(lost) + len(known)} held-back readings could not be predicted: {name_some(names)}."
+    text = f"{len(lost)} of {len(lost) + len(known)} verification readings unpredictable: {name_some(names)}."
     return [Statement(text, "warning", "Prediction", value=float(len(lost)))]
 
 
@@ -310,7 +307,7 @@ def _draw_predictions(predictions: pd.DataFrame) -> Drawing:
         axes.plot(z[inside], spread[inside], "o", color=LEG_COLOURS[0], markersize=3.5)
         axes.plot(z[~inside], spread[~inside], "D", color=RED, markersize=4.0)
     axes.set_yticks(range(len(channels)), [quote(name) for name in reversed(channels)])
-    axes.set_xlabel("(Measured − predicted) / sd of the prediction; grey holds 90 % of a normal, red lie outside")
+    axes.set_xlabel("(Measured − predicted) / sd; grey: 90 %")
     axes.grid(axis="x")
     return figure
 
@@ -340,7 +337,7 @@ def state_outliers(study: StudyResults) -> list[Statement]:
 
 def show_outliers(study: StudyResults) -> PageSection:
     """Return the residuals of the poses, and those that the others contradict."""
-    caption = f"Residuals of {study.label(study.best_name)} at each pose, in units of their noise."
+    caption = f"Residuals of {study.label(study.best_name)} / noise."
     blocks: list[Block] = [Figure("poses", caption, partial(_draw_poses, study.table("poses", study.best_name)))]
     columns = [Column("Pose", kind="text"), Column("Equations"), Column("Residual / noise"), Column("Weight")]
     cells: list[list[str | Cell]] = []
@@ -348,9 +345,7 @@ def show_outliers(study: StudyResults) -> PageSection:
         size = format_significant(math.sqrt(row.chi2 / max(1, row.n_dof)), 2)
         cells.append([row.pose, str(row.n_dof), size, format_fixed(row.robust_weight, 2)])
     blocks += [WEIGHTS] if study.fit(study.best_name).get("has_outliers") else []
-    blocks.append(
-        make_table("Poses that the others contradict.", columns, cells) if cells else "No pose contradicts the others."
-    )
+    blocks.append(make_table("Contradicted poses.", columns, cells) if cells else "No contradicted pose.")
     return PageSection("Poses", tuple(blocks), anchor="outliers")
 
 
@@ -368,6 +363,6 @@ def _draw_poses(poses: pd.DataFrame) -> Drawing:
     axes.set_xticks(place[::step], [quote(str(name)) for name in poses["pose"]][::step], rotation=60)
     axes.tick_params(axis="x", labelsize=7.5)
     axes.set_ylabel("Residual / noise")
-    axes.set_xlabel("Pose; red: the others contradict it")
+    axes.set_xlabel("Pose; red: contradicted")
     axes.grid(axis="y")
     return figure

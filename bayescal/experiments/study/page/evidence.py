@@ -37,11 +37,8 @@ from bayescal.report.symbols import split_name
 if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
-EXACT = "Sampling uses a covariance linearised at the nominal machine; importance weights correct it."
-WIDTHS = (
-    "Left: each variant below its own largest log-evidence; right: below the best one at the same factor. Models are "
-    "shifted sideways so as not to overlap."
-)
+EXACT = "Covariance linearised at nominal; importance weights correct it."
+WIDTHS = "Left: below each variant's own largest log-evidence; right: below the best."
 SPREAD = 0.08  # of the axis between the first and the last model at one factor
 TIED = 1.0  # nats
 LEAD = "scale of τ's prior"
@@ -51,8 +48,8 @@ MOST_NAMED = 80  # poses with a name below the axis
 GRID = np.linspace(0.0, 1.0, 101)
 SENSITIVE = 0.05
 """Change of a posterior per doubling of a power, as a distance of distributions, from which on it counts."""
-RANKS = "ECDF-difference rank plot with a 95 % band; curves outside it: a chain that has not mixed."
-PARETO_K = f"Pareto k of each pose left out; limit {PARETO_K_LIMIT}. Open: left out by sampling again."
+RANKS = "ECDF-difference ranks, 95 % band; outside: not mixed."
+PARETO_K = f"Pareto k by pose; limit {PARETO_K_LIMIT}. Open: refitted."
 POWERS = f"Cumulative Jensen–Shannon distance; threshold {SENSITIVE}. Both high: prior–data conflict."
 
 type Row = list[tuple[Column, str | Cell]]
@@ -66,13 +63,13 @@ def show_evidence(study: StudyResults) -> PageSection:
             draw = partial(_draw_sensitivity, study.sensitivity_grid, assign_styles(study))
             blocks.append(Figure("sensitivity", WIDTHS, draw))
         blocks.append(_tabulate_widths(study))
-    both = Fold("Both estimators of every log-evidence", (tabulate_evidence(study),))
+    both = Fold("Both log-evidence estimators", (tabulate_evidence(study),))
     return PageSection("Evidence", (*blocks, *show_tau_scale(study), both), anchor="evidence")
 
 
 def show_diagnostics(study: StudyResults) -> PageSection:
     """Return the convergence of every posterior, open where something failed, and further checks."""
-    fold = Fold("Convergence of every posterior", (_tabulate_diagnostics(study),), bool(list_failures(study)))
+    fold = Fold("Convergence", (_tabulate_diagnostics(study),), bool(list_failures(study)))
     return PageSection("Sampler diagnostics", (fold, *_fold_checks(study)), anchor="diagnostics", short="Checks")
 
 
@@ -108,7 +105,7 @@ def tabulate_evidence(study: StudyResults) -> Table:
         row.append((Column("Reported", kind="text"), str(fit["log_evidence_by"])))
         return row + ([_estimate(fit, "check", "another sampler")] if checked else [])
 
-    caption = "The log-evidence of every posterior by two independent estimators."
+    caption = "Log-evidence by two estimators."
     return _tabulate(study, f"{caption} {EXACT}" if exact else caption, describe)
 
 
@@ -165,7 +162,7 @@ def _tabulate_diagnostics(study: StudyResults) -> Table:
         status = Cell("converged") if fit["converged"] else Cell(fit["problems"] or "not converged", "bad")
         return [*row, (Column("Status", kind="text"), status)]
 
-    caption = "Convergence of every posterior; R-hat is rank-normalised, a chain is one ensemble of walkers."
+    caption = "Convergence."
     return _tabulate(study, caption, describe)
 
 
@@ -184,7 +181,7 @@ def _tabulate_grid(
         marks = [False] * len(texts) if marked is None else marked[name]
         cells = [Cell(text, "warning" if mark else "plain") for text, mark in zip(texts, marks, strict=True)]
         rows.append([study.label(name), *cells])
-    note = Statement(f"Marked where Pareto k exceeds {PARETO_K_LIMIT}.", "warning")
+    note = Statement(f"Marked: Pareto k > {PARETO_K_LIMIT}.", "warning")
     notes = [note] if marked is not None and marked.to_numpy().any() else []
     return make_table(caption, [VARIANT, *columns], rows, notes)
 
@@ -196,8 +193,8 @@ def _tabulate_widths(study: StudyResults) -> Table:
         table.pivot(index="factor", columns="variant", values=value).sort_index()[study.names]
         for value in ("log_evidence", "pareto_k")
     )
-    columns = [Column(f"{format_plain(one)} ×", "nat (rank)", "Widths of all priors") for one in wide.index]
-    caption = "Log-evidence for wider and narrower priors."
+    columns = [Column(f"{format_plain(one)} ×", "nat (rank)", "Prior widths") for one in wide.index]
+    caption = "Log-evidence by prior width."
     return _tabulate_grid(study, wide, columns, caption, pareto_k > PARETO_K_LIMIT)
 
 
@@ -209,14 +206,14 @@ def _draw_sensitivity(wide: pd.DataFrame, styles: Styles) -> Drawing:
     figure = Drawing(figsize=(9.4, 3.3))
     left, right = figure.subplots(1, 2)
     _draw_lines(left, wide - wide.max(axis=0), styles)
-    left.set_ylabel("below its own largest (nat)")
-    left.set_title("What the width costs each variant")
+    left.set_ylabel("below own largest (nat)")
+    left.set_title("Width cost")
     _draw_lines(right, wide.sub(wide.max(axis=1), axis=0), styles)
     right.set_yscale("symlog", linthresh=1.0, linscale=0.6)
     right.set_ylim(min(-1.0, 1.6 * float(right.dataLim.y0)), 0.5)
     right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
-    right.set_ylabel("below the best there (nat, logarithmic)")
-    right.set_title("What separates the variants")
+    right.set_ylabel("below the best (nat)")
+    right.set_title("Variants")
     add_legend(figure, styles, 1.2)
     return figure
 
@@ -235,7 +232,7 @@ def _draw_lines(axes: Axes, wide: pd.DataFrame, styles: Styles) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.minorticks_off()
-    axes.set_xlabel("Factor on the widths of all priors")
+    axes.set_xlabel("Prior width factor")
     axes.grid()
 
 
@@ -249,8 +246,8 @@ def show_tau_scale(study: StudyResults) -> list[Block]:
         return []
     wide = study.table("tau_scale").pivot(index="scale", columns="variant", values="log_evidence")
     wide = wide[[name for name in study.ranking if name in wide.columns]].sort_index()
-    columns = [Column(f"{scale:g} {study.error_unit}", "nat (rank)", "Scale of τ's prior") for scale in wide.index]
-    caption = "Log-evidence for other scales of τ's prior, by weighted draws of each posterior."
+    columns = [Column(f"{scale:g} {study.error_unit}", "nat (rank)", "τ prior scale") for scale in wide.index]
+    caption = "Log-evidence by τ prior scale."
     return [_state_order(study, wide, own), _tabulate_grid(study, wide, columns, caption)]
 
 
@@ -259,12 +256,10 @@ def _state_order(study: StudyResults, wide: pd.DataFrame, own: float) -> Stateme
     overtaken = _find_overtaken(wide, own)
     unit = study.error_unit
     if overtaken is None:
-        text = f"The ranking does not depend on τ's prior scale ({wide.index[0]:g} to {wide.index[-1]:g} {unit})."
+        text = f"Ranking independent of τ's prior scale ({wide.index[0]:g} to {wide.index[-1]:g} {unit})."
         return Statement(text, "plain" if wide.isna().any(axis=None) else "good", LEAD)
     scale, ahead, behind = overtaken
-    text = (
-        f"Ranking depends on τ's prior scale: {study.label(ahead)} leads at {own:g} {unit}, {study.label(behind)} at "
-    )
+    text = f"Ranking depends on τ's prior scale: {study.label(ahead)} leads at {own:g} {unit}, {study.label(behind)} "
     return Statement(f"{text}at {scale:g} {unit}.", "warning", LEAD)
 
 
@@ -292,12 +287,12 @@ def _fold_checks(study: StudyResults) -> list[Block]:
         effective = min(float(study.fit(study.best_name)["ess_bulk_min"]), float(len(next(iter(draws.values())))))
         ranks = Figure("ranks", RANKS, partial(_draw_ranks, draws, study.n_chains, effective))
     shown: list[tuple[str, Figure | Table]] = [
-        ("Pareto k of every pose left out", Figure("pareto_k", PARETO_K, draw)),
+        ("Pareto k by pose", Figure("pareto_k", PARETO_K, draw)),
         (f"Chains of {best} (rank plot)", ranks),
     ]
     own = own[own["prior_sensitivity"].notna()]
     if len(own):
-        shown.append((f"Sensitivity of {best} to prior and data (power scaling)", tabulate_power_scaling(own)))
+        shown.append((f"Power-scaling sensitivity of {best}", tabulate_power_scaling(own)))
     return [Fold(title, (block,)) for title, block in shown]
 
 
@@ -316,8 +311,8 @@ def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> 
     axes.fill_between(GRID, -width, width, color=PALE, alpha=0.6, linewidth=0)
     axes.axhline(0.0, color=GREY, linewidth=0.7)
     axes.set_xlim(0, 1)
-    axes.set_xlabel("Rank among all draws, as a share")
-    axes.set_ylabel("share of a chain − expected")
+    axes.set_xlabel("Rank")
+    axes.set_ylabel("share − expected")
     axes.set_title(f"Ranks, {len(draws)} parameters, {n_chains} chains")
     return figure
 
@@ -358,7 +353,7 @@ def tabulate_power_scaling(own: pd.DataFrame) -> Table:
         Column("Parameter", kind="symbol"),
         Column("Prior", "smallest to largest", "Sensitivity to"),
         Column("measurements", "smallest to largest", "Sensitivity to"),
-        Column("What it means", kind="text"),
+        Column("Meaning", kind="text"),
     ]
     rows: list[list[str | Cell]] = []
     for symbol, group in own.groupby("symbol", sort=False):
@@ -373,5 +368,5 @@ def tabulate_power_scaling(own: pd.DataFrame) -> Table:
         in_conflict = bool((prior & data).any())
         meaning = Cell("; ".join(words) or "data-dominated", "warning" if in_conflict else "plain")
         rows.append([str(symbol), *(" to ".join(span) for span in spans), meaning])
-    caption = "Sensitivity to prior and measurements by power scaling, over the entries of each symbol."
+    caption = "Power-scaling sensitivity by symbol."
     return make_table(caption, columns, rows, [Statement(POWERS)])

@@ -22,7 +22,7 @@ OPEN = 0.2
 """How far from its prior a probability has to be to say something: odds of 7 to 3."""
 UNITS = {"um": "µm"}
 INPUTS = {"reading": "the reading", "commands": "the machine's position", "order": "the order of rows"}
-SCALES = "Scale: sd at the end of the sensor's range. sd / prior sd: of the scale's logarithm."
+SCALES = "Scale: sd at the end of the range. sd / prior sd: of its logarithm."
 
 
 def _title_functions(study: StudyResults) -> dict[str, str]:
@@ -46,11 +46,11 @@ def state_functions(study: StudyResults) -> list[Statement]:
             level: Level = "good"
             text = f"{study.label(name)}: no systematic error needed in {kind} ({percent})."
             if abs(present - SHARE) < OPEN:
-                text, level = f"{study.label(name)}: systematic error in {kind} is not determined ({percent}).", "plain"
+                text, level = f"{study.label(name)}: systematic error in {kind} not determined ({percent}).", "plain"
             elif present > SHARE:
                 size = f"{largest.sensor} {format_significant(largest.rms, 2)} {_name_unit(largest)} rms"
                 text, level = (
-                    f"{study.label(name)}: systematic error in {kind}, a function of {of} ({percent}); {size}.",
+                    f"{study.label(name)}: systematic error in {kind} by {of} ({percent}); {size}.",
                     "warning",
                 )
             value = largest.rms if present > SHARE else math.nan
@@ -71,7 +71,7 @@ def show_functions(study: StudyResults) -> PageSection | None:
     columns = [Column("Variant", kind="text"), Column("Kernel", kind="text"), Column("Sensor", kind="text")]
     columns += [Column("Function of", kind="text")]
     columns += [Column("Unit", kind="text"), Column("Present", "%"), Column("Scale stated"), Column("Scale found")]
-    columns += [Column("sd / prior sd", "%"), Column("Size", "rms over the poses, mean [5 %, 95 %]")]
+    columns += [Column("sd / prior sd", "%"), Column("Size", "rms, mean [5 %, 95 %]")]
     rows = [
         [
             titles[row.variant],
@@ -87,11 +87,11 @@ def show_functions(study: StudyResults) -> PageSection | None:
         ]
         for row in study.rows(ErrorFunctionRow)
     ]
-    table = make_table("Sensors' errors that are functions.", columns, rows, [Statement(SCALES)], style="wide")
+    table = make_table("Systematic sensor errors.", columns, rows, [Statement(SCALES)], style="wide")
     blocks: list[Block] = [table]
     for name, title in titles.items():
         own = study.table("function_curves", name)
-        caption = f"{title}: errors over what they depend on, mean and 90 % interval."
+        caption = f"{title}: systematic errors, mean and 90 % interval."
         blocks += [] if own.empty else [Figure(f"functions_{stem_of(name)}", caption, partial(_draw_functions, own))]
     return PageSection("Systematic sensor errors", tuple(blocks))
 

@@ -87,13 +87,11 @@ def _illustrate_joints(study: StudyResults) -> Figure:
     joints, name = locate_joints(study.geometry), "hardpoints"
     first = study.split(study.chosen)[0]
     models = sorted(study.models, key=lambda model: model != first)
-    several = " The first model is shown large; of the others base and platform share one plan." * (len(models) > 1)
-    keys = " (circle: no deformation, cross: linear, triangle: matrix)" if "models" in study.summary else ""
+    several = " First model large." * (len(models) > 1)
+    keys = " (circle: none, cross: linear, triangle: matrix)" if "models" in study.summary else ""
     caption = (
-        f"The joints from above{study.cite('figures', name)}: black dots are nominal, markers the posterior "
-        f"means{keys}, bars their standard deviations; moves and "
-        f"deviations are magnified {format_plain(find_magnification(joints))} times. Full outline: base points a; "
-        f"dashed: platform points b. In mm: rms distance of the points from nominal.{several}"
+        f"Joints from above{study.cite('figures', name)}: black: nominal; markers: posterior{keys}, "
+        f"{format_plain(find_magnification(joints))}-fold.{several}"
     )
     variants = {study.label_model(model): study.find(model) for model in models}
     return Figure(name, caption, partial(_draw_joints, joints, variants, assign_styles(study)))
@@ -175,7 +173,7 @@ def _draw_joints(joints: pd.DataFrame, models: Mapping[str, Sequence[str]], styl
         axes.set_xlabel("x (mm)")
         axes.set_ylabel("y (mm)")
         keys = list_keys(names, measure_moves(own), True)
-        axes.legend(handles=keys, loc="center", title="rms distance from nominal")
+        axes.legend(handles=keys, loc="center", title="rms move")
     for k, (model, names) in enumerate(others):
         axes = figure.add_subplot(grid[1 + k // SMALL_COLUMNS, 2 * (k % SMALL_COLUMNS) : 2 * (k % SMALL_COLUMNS) + 2])
         own = joints[joints["variant"].isin(list(names))]
@@ -246,9 +244,7 @@ def show_flexure(study: StudyResults) -> PageSection | None:
         return None
     rows, name = choose_flexure(study.table("flexure")), "flexure"
     caption = (
-        f"Displacement of a flexure joint of {format_plain(rows['flexure_length_mm'].iloc[0])} mm, bent by "
-        f"δ{study.cite('figures', name)}. Left: the path of its end, shortening Δx against deflection Δy; "
-        "the scales differ. Right: distance of circle and ideal pivot from the beam at the same Δy."
+        f"Flexure joint of {format_plain(rows['flexure_length_mm'].iloc[0])} mm bent by δ{study.cite('figures', name)}."
     )
     figure = Figure(name, caption, partial(draw_flexure, rows))
     return PageSection("Flexure joint", (figure,), anchor="flexure", short="Flexure")
@@ -278,7 +274,7 @@ def draw_flexure(rows: pd.DataFrame) -> Drawing:
     left.plot(some["along_circle_um"], some["across_um"], "o", **marks)
     left.set_xlabel("Shortening Δx (µm)")
     left.set_ylabel("Deflection Δy (µm)")
-    left.set_title(f"Path of the end, up to {format_plain(rows['bending_deg'].max())} deg")
+    left.set_title(f"Path to {format_plain(rows['bending_deg'].max())} deg")
     left.set_xlim(left=0)
     left.set_ylim(bottom=0)
     left.legend(loc="lower right")
@@ -296,8 +292,8 @@ def draw_flexure(rows: pd.DataFrame) -> Drawing:
     right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: format_plain(value)))
     right.set_xlim(left=0)
     right.set_xlabel("Bending δ (deg)")
-    right.set_ylabel("Distance from the beam along x (nm)")
-    right.set_title("Error of what stands in for the beam")
+    right.set_ylabel("Distance from beam (nm)")
+    right.set_title("Approximation error")
     right.grid()
     return figure
 
@@ -310,19 +306,15 @@ def show_deformation(study: StudyResults) -> PageSection | None:
     if not study.has("joint_deflection") and (study.has_struts or "pose_extraction" not in study.summary):
         return None
     name = "deflections"
-    caption = (
-        "Deflection of each leg's platform joint out of the rigid platform against the displacement of the leg's "
-        f"own actuator{study.cite('figures', name)}; full: calibration, open: verification; line: linear "
-        "fit κ; bars: 1 sd."
-    )
-    figure = Figure(name, caption, None, "the survey has no targets at the joints")
+    caption = f"Deflection of platform joints{study.cite('figures', name)}. Open: verification; line: κ; bars: 1 sd."
+    figure = Figure(name, caption, None, "no targets at the joints")
     if study.has("joint_deflection"):
         figure = Figure(
             name, caption, partial(_draw_deflections, study.table("joint_deflection"), study.table("deformation"))
         )
     tables, statements = tabulate_deformation(study)
     blocks: list[Block] = [*statements, figure, *tables]
-    return PageSection("Deformation of the platform", tuple(blocks), anchor="deformation", short="Deformation")
+    return PageSection("Platform deformation", tuple(blocks), anchor="deformation", short="Deformation")
 
 
 def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Statement]]:
@@ -334,8 +326,7 @@ def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Stateme
     matrix = frame[frame["quantity"] == "K"]
     tables = [
         make_table(
-            "Coefficient κ of each leg in the linear description Δb_z = κ Δρ"
-            f"{study.cite('notation', 'kappa')}, mean ± sd.",
+            f"κ in Δb_z = κ Δρ{study.cite('notation', 'kappa')}, mean ± sd.",
             [Column("", kind="symbol"), *(Column(f"leg {leg}", "10⁻³") for leg in kappa.index)],
             [["kappa", *map(format_estimate, kappa["mean_permille"], kappa["sd_permille"])]],
         )
@@ -346,8 +337,7 @@ def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Stateme
         slopes["matrix"] = mean.to_numpy()
         tables.append(
             make_table(
-                f"Matrix K in Δb_z = K Δρ{study.cite('notation', 'K')}, mean ± sd; row: joint that moves, column: "
-                "actuator.",
+                f"K in Δb_z = K Δρ{study.cite('notation', 'K')}, mean ± sd; row: joint, column: actuator.",
                 [Column("Joint", kind="text"), *(Column(f"actuator {j}", "10⁻³") for j in mean.columns)],
                 [[f"leg {i}", *map(format_estimate, mean.loc[i], sd.loc[i])] for i in mean.index],
             )
@@ -360,14 +350,14 @@ def tabulate_deformation(study: StudyResults) -> tuple[list[Table], list[Stateme
         )
         residuals = {name: np.abs(measured - travel @ slope.T) for name, slope in slopes.items()}  # 1e-3 of mm is µm
         described = "; ".join(
-            f"residuals of the {name} description: {format_significant(float(np.mean(left)), 2)} µm mean and "
-            f"{format_significant(float(np.max(left)), 2)} µm at most"
+            f"residuals, {name}: mean {format_significant(float(np.mean(left)), 2)} µm, largest "
+            f"{format_significant(float(np.max(left)), 2)} µm"
             for name, left in residuals.items()
         )
         noise = format_significant(float(rows["deflection_sd_um"].mean()), 2)
         reach = format_significant(float(np.max(np.abs(measured))), 2)
-        text = f"On the {use} poses the joints move by up to {reach} µm out of the rigid platform; {described}"
-        statements.append(Statement(f"{text}, at a measuring uncertainty of {noise} µm (sd)."))
+        text = f"{use} poses: joints deflect up to {reach} µm; {described}"
+        statements.append(Statement(f"{text}; measuring sd {noise} µm."))
     return tables, statements
 
 
@@ -383,8 +373,8 @@ def _draw_deflections(ring: pd.DataFrame, deformation: pd.DataFrame) -> Drawing:
         _draw_leg(axes, ring[ring["leg"] == leg], kappa.loc[leg], leg)
     for axes in grid.ravel()[len(legs) :]:
         axes.set_axis_off()
-    figure.supxlabel("Displacement Δρ of the leg's own actuator (mm)", fontsize=9)
-    figure.supylabel("Deflection of the joint along z (µm)", fontsize=9)
+    figure.supxlabel("Displacement Δρ of the actuator (mm)", fontsize=9)
+    figure.supylabel("Deflection along z (µm)", fontsize=9)
     return figure
 
 

@@ -38,8 +38,8 @@ from bayescal.report.style import GREY, INK
 from bayescal.report.symbols import MODEL_ERROR, quote, scale_of
 
 LEAD = "Model error"
-TAU = "τ: sd of the pose-to-pose model error; intervals include it."
-CAPTION = "Model error τ: posterior mean and 90 % interval of each {member} and variant."
+TAU = "τ: random error from pose to pose; intervals include it."
+CAPTION = "Model error τ: posterior mean, 90 % interval."
 
 
 class TermMeaning(NamedTuple):
@@ -52,43 +52,43 @@ class TermMeaning(NamedTuple):
 
 KINDS: dict[str, TermMeaning] = {
     "random": TermMeaning(
-        "different at every pose",
-        "play, repeatability, a noise that is stated too small",
-        "Measure one pose several times: its scatter is noise or play",
+        "random",
+        "play, repeatability, understated noise",
+        "Measure one pose repeatedly: scatter is noise or play",
     ),
     "linear": TermMeaning(
-        "linear in the positions of all actuators",
-        "a coupling: one actuator moves what another one positions; a frame that yields",
-        "Look for a coupling between actuators, or free a deformation",
+        "linear in all actuators",
+        "coupled actuators, a yielding frame",
+        "Look for coupled actuators, or free a deformation",
     ),
     "positioning": TermMeaning(
-        "a function of the own position",
-        "a lead error, the scale of an encoder, an encoder or a screw that is eccentric",
+        "by own position",
+        "lead error, encoder scale, eccentric encoder or screw",
         "Check lead and encoder of {member}, or {gain}",
     ),
     "smooth": TermMeaning(
-        "a smooth function of the positions",
-        "bending, joints, guides that are not straight",
-        "Compare a model with joint errors or bending parts",
+        "smooth in position",
+        "bending, joints, guides not straight",
+        "Compare joint errors or bending parts",
     ),
     "drift": TermMeaning(
-        "with time, in measuring order",
+        "with time",
         "temperature, settling",
-        "Warm the machine up and measure one pose repeatedly",
+        "Warm up; measure one pose repeatedly",
     ),
     "lead": TermMeaning(
-        "linear in the own position",
-        "a lead error, the scale of an encoder",
+        "linear in own position",
+        "lead error, encoder scale",
         "Check lead and encoder scale of {member}, or {gain}",
     ),
     "joints": TermMeaning(
-        "quadratic in the pose, in each channel another",
-        "joints whose axes do not meet, or that run out",
-        "Check the joints of {member}, or compare a model with joint errors",
+        "quadratic in the pose",
+        "axes that do not meet, runout",
+        "Check joints of {member}, or add joint errors",
     ),
     "gravity": TermMeaning(
-        "a function of the pose, alike in all channels",
-        "weight that bends frame or guides, an instrument that is off by a scale",
+        "by pose, in all channels",
+        "bending by weight, instrument scale",
         "Measure with another load",
     ),
 }
@@ -101,17 +101,14 @@ NO_TRACE = (0.10, 0.32, 0.46, 0.56)
 each is then about flat from zero to what the data allow, and several together are never near zero."""
 BEYOND = 0.26
 """Share of the way from there to one, from which on the data show an error: of one term at a third of the median."""
-UNDECIDED = "Measure more poses, and some again at another time"
+UNDECIDED = "Measure more poses, some again later"
 CLEAR = 3.0
 """Nats by which one term alone has to be better than any other alone to be named, and all together than each alone."""
 OUTSTANDING = 2.5  # times the median of the others, from which on one member is named
-SIZES = "Size: rms over the calibration poses, median and 90 % interval. Errors are given as tool displacement."
-ALONE = "Alone: log Bayes factor of this systematic error alone against all together."
-MEMBERS = "Rms over the calibration poses of the posterior mean."
-POSES = (
-    "{label}: systematic error of each channel in measuring order, 90 % intervals; full: calibration, open: "
-    "verification."
-)
+SIZES = "Size: rms over calibration poses, as tool displacement."
+ALONE = "Alone: log Bayes factor against all together."
+MEMBERS = "Posterior mean, rms."
+POSES = "{label}: systematic errors, 90 % intervals. Open: verification."
 MOST_PANELS, ABREAST = 12, 3
 
 
@@ -277,7 +274,7 @@ def _state_found(found: _Found) -> list[Statement]:
     open_ones = {name: row.tail for name, row in found.functions.items() if row.tail > HARDLY}
     if open_ones:
         what = join_words([KINDS[name].along for name in open_ones], "or")
-        text = f"The size of an error {what} is hardly determined."
+        text = f"Error {what}: size not determined."
         said.append(Statement(text, lead=LEAD, value=max(open_ones.values()), limit=HARDLY))
     return said
 
@@ -299,11 +296,11 @@ def _state_seen(found: _Found, seen: list[str]) -> Statement:
 def _state_absent(found: _Found) -> Statement:
     """Return up to which size there may be a systematic error that is not seen."""
     if found.whole is None:
-        text = f"{found.label} has no term for systematic errors: its intervals do not include them."
+        text = f"{found.label}: intervals exclude systematic errors."
         return Statement(text, "plain", LEAD)
     most, stated = found.whole.q95, found.floors[SYSTEMATIC_TOTAL]
-    beyond = f" beyond the stated {format_significant(stated, 2)} {found.unit}" if stated else ""
-    text = f"No systematic error seen{beyond} (95 % upper limit {format_significant(most, 2)} {found.unit} rms)."
+    beyond = f" beyond {format_significant(stated, 2)} {found.unit}" if stated else ""
+    text = f"No systematic error seen{beyond} (95 % limit {format_significant(most, 2)} {found.unit} rms)."
     return Statement(text, "good", LEAD, value=most, unit=found.unit)
 
 
@@ -313,11 +310,11 @@ def _state_random(found: _Found) -> list[Statement]:
     if size is None:
         return []
     if RANDOM_TERM in found.seen:
-        text = f"Random error τ beyond the noise: {_format_size(size)} {found.unit}."
+        text = f"Random error τ: {_format_size(size)} {found.unit}."
         action = f"{KINDS[RANDOM_TERM].advice}."
         return [Statement(text, "plain", LEAD, value=size.median, unit=found.unit, action=action)]
     most = format_significant(size.q95, 2)
-    text = f"No random error seen beyond the noise (τ: 95 % upper limit {most} {found.unit})."
+    text = f"No random error seen (95 % limit of τ: {most} {found.unit})."
     return [Statement(text, "good", LEAD, value=size.q95, unit=found.unit)]
 
 
@@ -334,7 +331,7 @@ def _name_gain(found: _Found, outstanding: str) -> str:
         return "free them as parameters"
     names = [found.gains.get(one, "") for one in ([outstanding] if outstanding else found.members)]
     if not all(names):
-        return "free a gain in the machine's class"
+        return "free a gain in the machine class"
     symbols = list(dict.fromkeys(one if outstanding else one.partition("[")[0] for one in names))
     return f"free {join_words(symbols)} in [parameters]"
 
@@ -356,7 +353,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
         chosen = [member for member in found.members if member in most]
         caption = POSES.format(label=found.label)
         if len(chosen) < len(found.members):
-            caption += f" Shown are the {len(chosen)} that err most."
+            caption += f" The {len(chosen)} largest."
         place = rows.assign(place=rows.groupby("member").cumcount() + 1)
         panels = {member: place[place["member"] == member] for member in chosen}
         draw = partial(_draw_errors, panels, study.error_unit)
@@ -368,7 +365,7 @@ def _show_terms(study: StudyResults, described: list[str]) -> list[Block]:
         blocks.append(_tabulate_members(found, by_member))
     blocks += _show_floor(study, name)
     if others:
-        blocks.append(Fold("The model error of the other variants", (_tabulate_variants(study, described),)))
+        blocks.append(Fold("Model error, other variants", (_tabulate_variants(study, described),)))
     return blocks
 
 
@@ -379,7 +376,7 @@ def _tabulate_terms(found: _Found) -> Table:
     columns += [Column("In the data", kind="text"), Column("Usual causes", kind="text")]
     rows = []
     for name, size in found.sizes.items():
-        along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors together", "")
+        along, causes = (KINDS[name].along, KINDS[name].causes) if name in KINDS else ("systematic errors", "")
         there = found.is_seen_together if name == SYSTEMATIC_TOTAL else name in found.seen
         alone = [format_fixed(found.alone.get(name, math.nan), 1, sign=True)] if found.alone else []
         trace = "as stated" if found.floors.get(name) else "no trace"
@@ -389,7 +386,7 @@ def _tabulate_terms(found: _Found) -> Table:
         alone = [format_fixed(found.alone[name], 1, sign=True)]
         rows.append([f"{along}, by itself", _format_size(direction), *alone, trace, KINDS[name].causes])
     if "none" in found.alone:
-        rows.append(["no systematic error", NO_VALUE, format_fixed(found.alone["none"], 1, sign=True), "", ""])
+        rows.append(["none", NO_VALUE, format_fixed(found.alone["none"], 1, sign=True), "", ""])
     notes = [Statement(SIZES), *([Statement(ALONE)] if found.alone else [])]
     return make_table(f"Model error of {found.label}.", columns, rows, notes)
 
@@ -417,7 +414,7 @@ def _tabulate_members(found: _Found, rows: pd.DataFrame) -> Table:
         [member, *(format_significant(wide[name].get(member), 2) for name in terms), format_significant(size, 2)]
         for member, size in found.members.items()
     ]
-    return make_table(f"In which channel. {MEMBERS}", columns, cells, style="wide")
+    return make_table(f"By channel. {MEMBERS}", columns, cells, style="wide")
 
 
 def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
@@ -429,7 +426,7 @@ def _tabulate_variants(study: StudyResults, names: list[str]) -> Table:
     for name in names:
         sizes = {row.term: _format_size(row) for row in study.rows(ModelErrorRow, name)}
         rows.append([study.label(name), *(sizes.get(term, NO_VALUE) for term in terms)])
-    return make_table("Model error by variant.", columns, rows, style="wide")
+    return make_table("By variant.", columns, rows, style="wide")
 
 
 def _draw_errors(panels: Mapping[str, pd.DataFrame], unit: str) -> Drawing:
@@ -483,7 +480,7 @@ def _show_tau(study: StudyResults) -> list[Block]:
     table = _tabulate_tau(study, rows)
     return [
         Figure("tau", CAPTION.format(member=study.member), draw),
-        Fold(f"τ of every {study.member}, variant by variant", (table,)),
+        Fold("τ by variant", (table,)),
     ]
 
 
@@ -499,7 +496,7 @@ def _tabulate_tau(study: StudyResults, rows: pd.DataFrame) -> Table:
         places = min(3, count_decimals(float((values["q95"] - values["q05"]).min())))
         found = {leg: bracket(format_fixed(x, places) for x in row) for leg, *row in values.itertuples()}
         cells.append([study.label(name), *(found.get(leg, NO_VALUE) for leg in legs)])
-    return make_table(f"Model error τ of each {study.member}.", columns, cells)
+    return make_table(f"τ by {study.member}.", columns, cells)
 
 
 def _draw_tau(
@@ -519,7 +516,7 @@ def _draw_tau(
         label_members(axes, rows, member)
         if prior_scale is not None:
             axes.axhline(prior_scale, **scale)
-    others = [Line2D([], [], label="scale of the half-normal prior", **scale)] if prior_scale is not None else []
+    others = [Line2D([], [], label="prior scale", **scale)] if prior_scale is not None else []
     grid[0].set_ylim(bottom=0)
     grid[0].set_ylabel(f"Model error τ ({shown[1]})")
     add_legend(figure, styles, 1.6, *others, columnspacing=1.4)

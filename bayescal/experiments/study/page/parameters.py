@@ -42,14 +42,14 @@ from bayescal.report.symbols import (
 )
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
-CONTRACTION = "Contraction: 1 − (posterior sd / prior sd)²; 0.75: uncertainty halved."
+CONTRACTION = "0.75: uncertainty halved."
 VERDICTS = {
     "identifiable": "uncertainty at least halved",
     "weak": "not halved",
     "not": "not determined",
     "several": "several values",
 }
-PUBLISHED = "Published values: least squares without priors and model error. Data here: {origin}."
+PUBLISHED = "Published: least squares, no priors. Here: {origin}."
 LENGTH = "mm"
 ODD = 0.25  # of the other models' values, below which a published row looks misprinted
 MISPRINT = 10.0
@@ -76,8 +76,8 @@ def state_undetermined(study: StudyResults) -> list[Statement]:
     if not weak and any(row.verdict == "several" for row in rows):
         return []  # what is said of the solutions says it
     if not weak:
-        return [Statement("The uncertainty of every free parameter is at least halved.", "good", "Parameters")]
-    text = f"{name_some(weak)}: uncertainty not halved by these data."
+        return [Statement("All uncertainties at least halved.", "good", "Parameters")]
+    text = f"{name_some(weak)}: uncertainty not halved."
     return [Statement(text, "warning", "Parameters", value=float(len(weak)), limit=0.0)]
 
 
@@ -85,7 +85,7 @@ def state_undetermined(study: StudyResults) -> list[Statement]:
 
 
 def _show_each(study: StudyResults) -> list[Block]:
-    caption = "Posterior standard deviation of each parameter over its tolerance (prior standard deviation)."
+    caption = "Posterior sd / prior sd."
     draw = partial(_draw_reduction, study.geometry, study.names, assign_styles(study))
     return [CONTRACTION, _tabulate_each(study), Figure("parameters", caption, draw), *state_agreement(study)]
 
@@ -148,8 +148,8 @@ def _show_members(study: StudyResults) -> list[Block]:
     blocks: list[Block] = [_illustrate(study), *state_agreement(study)]
     for heading, folds in fold_parameters(study):
         blocks += [*([Heading(heading)] if heading else []), *folds]
-    blocks.append(Fold("How much the measurements narrowed each parameter", (_tabulate_contraction(study),)))
-    blocks.append(Fold(f"Every parameter of {study.label(study.chosen)}", (CONTRACTION, _tabulate_each(study))))
+    blocks.append(Fold("Posterior sd / prior sd", (_tabulate_contraction(study),)))
+    blocks.append(Fold(f"Parameters of {study.label(study.chosen)}", (CONTRACTION, _tabulate_each(study))))
     return blocks
 
 
@@ -162,8 +162,8 @@ def fold_parameters(study: StudyResults) -> list[tuple[str, list[Fold]]]:
             title, found = _title(study, name), compare_published(study, name)
             if found is not None:
                 title += (
-                    f": least squares {format_significant(found.rms_mm, 2)} mm rms from the published lengths, "
-                    f"{found.n_inside} of {found.n_known} published values in the posterior's 90 % intervals"
+                    f": least squares {format_significant(found.rms_mm, 2)} mm rms from published "
+                    f"lengths, {found.n_inside} of {found.n_known} inside 90 % intervals"
                 )
             folds.append(Fold(title, (tabulate_parameters(study, name),), len(study.ranking) <= OPEN))
         words = describe_deformation(deformation) if deformation else ""
@@ -184,7 +184,7 @@ def state_agreement(study: StudyResults) -> list[Statement]:
             where = study.name_parameter(f"{symbol}[{leg}]" if leg else str(symbol))
             most = format_fixed(float(apart.max()), 2)
             words.append(f"{study.name_variants(group)} by at most {most} sd ({where})")
-    text = f"The posterior means of variants that fit equally well differ: {'; '.join(words)}."
+    text = f"Equally good variants differ in {'; '.join(words)}."
     return [Statement(text)] if words else []
 
 
@@ -238,15 +238,15 @@ def _state_fit(study: StudyResults, variant: str, found: pd.DataFrame) -> list[S
         return []
     residual = found.drop_duplicates("leg").sort_values("leg")["leg_residual_rms_um"]
     low, high = (format_significant(x, 2) for x in (residual.min(), residual.max()))
-    statements = [Statement(f"Residuals of least squares: {low} to {high} µm (rms) per {study.member}.")]
+    statements = [Statement(f"Least-squares residuals: {low} to {high} µm (rms) per {study.member}.")]
     if not found["converged"].astype(bool).all():
-        statements.append(Statement("The least-squares fit did not converge.", "bad"))
+        statements.append(Statement("Least squares did not converge.", "bad"))
     comparison = compare_published(study, variant)
     if comparison is not None and comparison.n_known:
         text = (
-            f"Least squares differ from the published values by {format_significant(comparison.rms_mm)} mm rms over "
-            f"{comparison.n_lengths} lengths. "
-            f"{comparison.n_inside} of {comparison.n_known} published values lie inside the posterior's 90 % intervals."
+            f"Least squares − published: {format_significant(comparison.rms_mm)} mm rms, "
+            f"{comparison.n_lengths} lengths. {comparison.n_inside} of {comparison.n_known} published "
+            "values inside 90 % intervals."
         )
         statements.append(Statement(text))
     return statements
@@ -261,18 +261,17 @@ def _tabulate_contraction(study: StudyResults) -> Table:
     columns += [Column(study.label(name), group=f"mean over {study.member}s (least)") for name in study.ranking]
     symbols = dict.fromkeys(map(str, frame["symbol"]))
     rows = [[symbol, *(cells.get((name, symbol), NO_VALUE) for name in study.ranking)] for symbol in symbols]
-    return make_table("Contraction of the parameters.", columns, rows, [Statement(CONTRACTION)])
+    return make_table("Contraction.", columns, rows, [Statement(CONTRACTION)])
 
 
 def _illustrate(study: StudyResults) -> Figure:
     """Return the intervals of the parameters of one model, that of the variant to use."""
     model, styles = study.split(study.chosen)[0], assign_styles(study)
     several = len(study.models) > 1
-    which = f" of the {study.label_model(model)} model, the study's first among the best," if several else ""
+    which = f" of the {study.label_model(model)} model" if several else ""
     caption = (
-        f"Parameters{which} as offsets from nominal: posterior mean and 90 % interval of each "
-        "variant; the band is the prior's central 90 %. Where an interval is as wide as the band the measurements "
-        f"determine nothing.{' The other models: tables below.' if several else ''}"
+        f"Offsets from nominal{which}: posterior mean, 90 % interval; band: "
+        f"prior.{(' Others: tables below.' if several else '')}"
     )
     names = study.find(model)
     frame, published = study.geometry, study.table("least_squares")
@@ -418,7 +417,7 @@ def tabulate_published(study: StudyResults) -> Table | None:
             chosen = frame[frame["variant"].isin(names) & frame["parameter"].isin(symbols)]
             row.append(format_significant(scale * _measure_rms(chosen["difference"]), 2))
         cells.append(row)
-    caption = "Least squares on these data against the published tables: rms difference over the legs."
+    caption = "Least squares − published tables, rms over legs."
     return make_table(caption, columns, cells, list_remarks(study))
 
 
@@ -443,13 +442,13 @@ def _remark(study: StudyResults, name: str, symbol: str, shares: list[float], ro
     times_ten = factor * _measure_rms(rows["offset"] - MISPRINT * rows["published_offset"])
     table = name_table(study, name) or "the published table"
     text = (
-        f"The {write_symbol(symbol)} of {table}, {study.label(name)}, is printed at "
-        f"{format_span(shares, 2)} of the other models' size (rms)"
+        f"{write_symbol(symbol)} in {table}, {study.label(name)}: printed at {format_span(shares, 2)} "
+        "of other models' size (rms)"
     )
     if times_ten < 0.5 * printed:
         text += (
-            f"; ten times the printed values lie {format_significant(times_ten, 2)}{unit} rms from least squares, the "
-            f"printed ones {format_significant(printed, 2)}{unit}: they may have been printed in another unit"
+            f"; tenfold values lie {format_significant(times_ten, 2)}{unit} rms from least squares, "
+            f"printed ones {format_significant(printed, 2)}{unit}: perhaps another unit"
         )
     return Statement(f"{text}.", "warning")
 
@@ -474,5 +473,5 @@ def show_frames(study: StudyResults) -> PageSection | None:
         for name in study.ranking:
             mean, sd = (factor * float(chosen[value].get(name, math.nan)) for value in ("mean", "sd"))
             cells[name].append(format_estimate(mean, sd, places, sign=True))
-    caption = "Frames found, posterior mean ± sd; displacements along and rotation vectors about the axes."
+    caption = "Frames found, posterior mean ± sd."
     return PageSection("Frames", (make_table(caption, columns, [*cells.values(), before]),), anchor="frames")

@@ -31,8 +31,8 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.style import PALE
 
-STACKING = "Stacking weight: share in the mixture of variants that predicts left-out poses best."
-NOT_COMPARED = "Variants that are not ranked did not converge: their log-evidence is not compared."
+STACKING = "Stacking weight: share in the predictive mixture."
+NOT_COMPARED = "Unranked variants did not converge."
 THICKNESS = 0.62
 
 type NamedCells = list[tuple[Column, str | Cell]]
@@ -68,10 +68,10 @@ def tabulate_ranking(study: StudyResults) -> Table:
             found += _describe(study, name, fits[name], behind)
             columns = [column for column, _ in found]
             rows.append([cell for _, cell in found])
-    caption = "Variants, best first." if several else "Variant."
+    caption = "Variants." if several else "Variant."
     notes = [Statement(STACKING)] if several else []
     if any(fit["n_loo_bad_k"] for fit in study.fits.values()):
-        text = f"(n): n poses with Pareto k > {PARETO_K_LIMIT}; elpd LOO unreliable."
+        text = f"(n): n poses with Pareto k > {PARETO_K_LIMIT}."
         notes.append(Statement(text, "warning"))
     notes += [] if len(study.compared) == len(study.ranking) else [Statement(NOT_COMPARED, "warning")]
     notes += _state_names(study)
@@ -144,7 +144,7 @@ def tabulate_effects(study: StudyResults) -> Table | None:
     columns = [
         Column("Model", kind="text"),
         *(Column(d, "nat", "Below the best variant") for d in deformations),
-        *(Column(f"{best} − {d}", "nat", "What the deformation adds") for d in deformations if d != best),
+        *(Column(f"{best} − {d}", "nat", "Deformation effect") for d in deformations if d != best),
         *(Column(d, "nat", f"Against {study.label_model(first)}, same deformation") for d in deformations),
     ]
     own = {(m, d): name for m in models for d in deformations if (name := study.find_best(m, d)) is not None}
@@ -165,9 +165,9 @@ def tabulate_effects(study: StudyResults) -> Table | None:
         ]
         for m in models
     ]
-    note = "Variants of one letter fit equally well."
-    note += " Of several free sets the best one is shown." if study.free_sets else ""
-    return make_table("Log-evidence by model and deformation.", columns, rows, [Statement(note)])
+    note = "One letter: equal fit."
+    note += " Best free set each." if study.free_sets else ""
+    return make_table("Log-evidence by variant.", columns, rows, [Statement(note)])
 
 
 # --- the figure ------------------------------------------------------------------------------------------------------
@@ -180,11 +180,11 @@ def _illustrate(study: StudyResults) -> Figure:
     groups = [*study.group(study.ranking), *([failed] if failed else [])]
     best = max((study.evidence(name) for name in study.compared), default=math.nan)
     behind = {name: best - study.evidence(name) if name in study.compared else math.nan for name in study.ranking}
-    caption = "Log-evidence below the best variant, logarithmic beyond 1 nat."
+    caption = "Log-evidence below the best, logarithmic beyond 1 nat."
     if scales:
-        caption = f"Left: {caption} Right: errors on the {use} poses; full bar: mean, pale bar: largest."
+        caption = f"Left: {caption} Right: errors on {use} poses; full bar: mean, pale: largest."
     if len(groups) > 1:
-        caption += " A shared band joins variants that fit equally well."
+        caption += " Band: equal fit."
     errors = {(name, scale.what): scale.read_both(study.fit(name)[use]) for name in study.ranking for scale in scales}
     return Figure("errors", caption, partial(_draw, groups, behind, errors, scales, use, assign_styles(study)))
 

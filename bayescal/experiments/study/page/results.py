@@ -140,7 +140,7 @@ class StudyResults:
         tables = {name: table for name, table in results.tables.items() if not table.empty}
         _check_tables(tables, folder)
         if "claims" in tables and "publication" not in results.summary:
-            wanted = "found nothing, expected the one whose claims are tested"
+            wanted = "found nothing, expected the publication"
             raise InputError(f"{folder / SUMMARY_FILE}: publication: {wanted}")
         every = tables["parameters"]
         if "mode" in every:  # NaN of variants with a single solution
@@ -273,7 +273,7 @@ class StudyResults:
 
     def say_missing(self) -> str:
         """Return why a figure of the best variant's draws is left out where its posterior file is not there."""
-        return f"it needs the draws of {self.label(self.best_name)}, whose file is not there"
+        return f"no draws of {self.label(self.best_name)}"
 
     def name_variants(self, names: Sequence[str], between: str = "and") -> str:
         """Return variants as words; those of one deformation as its models, unless some have names of their own."""
@@ -489,7 +489,7 @@ def _read_draws(folder: Path, variant: str) -> dict[str, Array] | None:
                     names = [f"{symbol}[{one.decode() if isinstance(one, bytes) else one}]" for one in labels]
                 draws |= {name: every[..., k] for k, name in enumerate(names)}
     except (OSError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a posterior ({error})") from error
+        raise InputError(f"{path}: not a posterior ({error})") from error
     return draws
 
 
@@ -498,7 +498,7 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
     folder = results / "tables" if (results / "tables").is_dir() else results
     for row in REQUIRED:
         if row.table not in tables:
-            raise InputError(f"{folder / row.table}.csv: found no rows, expected a study's table")
+            raise InputError(f"{folder / row.table}.csv: found no rows")
     check_tables(ROWS, tables, folder)
 
 

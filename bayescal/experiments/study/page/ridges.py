@@ -51,8 +51,8 @@ def show_ridges(study: StudyResults) -> PageSection | None:
             ]
             rows.append([study.label(name), *texts, *[NO_VALUE] * (SHOWN_PAIRS - len(texts))])
     columns = [VARIANT, *(Column(title, kind="text") for title in ("Strongest", "second", "third"))]
-    table = make_table("Most correlated pairs of parameters, correlation of the draws.", columns, rows)
-    blocks += [Fold("The most correlated pairs of every variant", (table,))] if rows else []
+    table = make_table("Most correlated parameter pairs.", columns, rows)
+    blocks += [Fold("Correlated pairs by variant", (table,))] if rows else []
     return PageSection("Unidentifiable combinations", tuple(blocks), anchor="ridges", short="Ridges")
 
 
@@ -99,7 +99,7 @@ def _state_combinations(study: StudyResults, variant: str) -> list[Statement]:
     left = np.linalg.eigvalsh(np.cov(np.stack([draws[name] / prior[name] for name in names])))
     retained, removed = int((left > RETAINED).sum()), int((left < REMOVED).sum())
     text = (
-        f"Of {len(left)} principal axes of the geometry {retained} retain more than half of their prior variance, "
+        f"Of {len(left)} principal axes {retained} retain more than half of their prior variance, "
         f"{removed} less than 1 %."
     )
     return [Statement(text)]
@@ -116,13 +116,13 @@ def _illustrate(study: StudyResults) -> Figure:
         return Figure(name, nothing, None, f"no {study.member} has two parameters")
     table = pd.DataFrame({split_name(n)[0]: x for n, x in draws.items() if split_name(n)[1] == leg})
     if len(table.columns.drop(MODEL_ERROR, errors="ignore")) < 2:
-        return Figure(name, nothing, None, f"each {study.member} has one parameter of its geometry")
+        return Figure(name, nothing, None, f"one geometry parameter per {study.member}")
     rows = study.parameters
     one = rows[(rows["variant"] == best) & (rows["leg"] == leg)].set_index("symbol")
     nominal = one["nominal"].where(one.index != MODEL_ERROR, 0.0)
     caption = (
-        f"{study.label(best)}, {study.member} {leg}: correlation of its parameters (red +1, blue −1), and draws of its "
-        "most correlated pairs as offsets from nominal."
+        f"{study.label(best)}, {study.member} {leg}: parameter correlations (red +1, blue −1), draws "
+        "of the strongest pairs."
     )
     scales = {str(symbol): study.scale_of(str(symbol), str(unit)) for symbol, unit in one["unit"].items()}
     return Figure(name, caption, partial(_draw, table, nominal, scales, pairs))

@@ -12,7 +12,7 @@ from bayescal.report.symbols import ChosenUnits, shown_in
 
 LEAD = "Several solutions"
 NAMED = 3  # parameters of a solution that a sentence names
-HOW = "Each solution is a mode of the posterior with its own draws; accuracy and functions are those of mode 1."
+HOW = "Modes of the posterior; accuracy and functions: mode 1."
 
 
 def count_solutions(fit: Mapping[str, Any]) -> int:
@@ -44,7 +44,7 @@ def state_solutions(study: StudyResults) -> list[Statement]:
             rows = study.list_solutions(name)
             differ = name_some(list(dict.fromkeys(row.parameter for row in rows if row.verdict == "several")))
             text = f"{study.label(name)} has {n} separate solutions{f', which differ in {differ}' if differ else ''}."
-            action = "Add a measurement or tolerance that excludes all but one."
+            action = "Add a measurement or tolerance."
             found.append(Statement(text, "warning", LEAD, value=n, limit=1.0, action=action))
         if small:
             text = (
@@ -72,7 +72,7 @@ def show_solutions(study: StudyResults) -> PageSection | None:
             factor, unit = study.shown_in(row.unit)
             line = cells.setdefault(row.parameter, [row.parameter, unit, format_fixed(factor * row.nominal, 3)])
             line.append(format_estimate(factor * row.mean, factor * row.sd))
-        caption = f"Solutions of {study.label(name)}: posterior mean ± sd of the parameters in which they differ."
+        caption = f"Solutions of {study.label(name)}: posterior mean ± sd."
         tables.append(make_table(caption, columns, list(cells.values())))
     names = join_words([study.label(name) for name in study.ranking if count_solutions(study.fit(name)) > 1])
     return make_section(f"Solutions of {names}", (HOW,), tuple(tables)) if tables else None

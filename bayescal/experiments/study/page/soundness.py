@@ -65,15 +65,15 @@ def _state_targets(study: StudyResults) -> list[Statement]:
     per_dof, dof = get_number(extraction, "chi2_per_dof"), get_number(extraction, "dof")
     found, statements = ChiSquare(per_dof * dof, dof), []
     if math.isfinite(found.value) and found.is_off:
-        text = f"Scatter of targets about rigid bodies / target noise: {format_significant(found.factor, 2)}."
-        action = f"State target noise {'larger' if found.factor > 1 else 'smaller'}, or check the targets."
+        text = f"Target scatter / target noise: {format_significant(found.factor, 2)}."
+        action = f"State target noise {('larger' if found.factor > 1 else 'smaller')}, or check targets."
         level = _rate(found.factor)
         statements.append(Statement(text, level, "Noise", value=found.factor, limit=1.0, action=action))
     total, rejected = get_number(extraction, "n_targets"), len(extraction.get("rejected_targets", []))
     if total > 0 and rejected / total > REJECTED_SHARE:
-        text = f"{rejected} of {format_fixed(total, 0)} targets were rejected as outliers."
+        text = f"{rejected} of {format_fixed(total, 0)} targets rejected."
         level = "bad" if rejected / total > 0.05 else "warning"
-        action = "Check these targets, or state a larger target noise."
+        action = "Check them, or state larger noise."
         value, limit = rejected / total, REJECTED_SHARE
         statements.append(Statement(text, level, "Noise", value=value, limit=limit, action=action))
     return statements
@@ -85,13 +85,14 @@ def _state_misfit(study: StudyResults) -> list[Statement]:
     found = ChiSquare(float(one["misfit_chi2"]), float(one["misfit_dof"]))
     if not found.is_off or study.summary.get("misstated"):
         return []
-    action = "State a larger noise, or add what all variants lack."
+    action = "State larger noise, or extend the models."
     if found.factor < 1:
-        action = "State a smaller noise: intervals are too wide."
+        action = "State smaller noise."
     error = " and model error" if study.list_terms(study.best_name) else ""
     text = (
-        f"{study.label(study.best_name)}: residuals / stated noise{error} {format_significant(found.factor, 2)} "
-        f"(χ² {format_significant(found.value, 3)}, {format_fixed(found.dof, 0)} degrees of freedom)."
+        f"{study.label(study.best_name)}: residuals / stated noise{error} "
+        f"{format_significant(found.factor, 2)} (χ² {format_significant(found.value, 3)}, dof "
+        f"{format_fixed(found.dof, 0)})."
     )
     return [Statement(text, _rate(found.factor), "Noise", value=found.factor, limit=1.0, action=action)]
 
@@ -107,9 +108,9 @@ def _state_misstated(study: StudyResults) -> list[Statement]:
     (text, advice), factor, fault = split_advice(str(found["text"])), float(found["factor"]), found["fault"]
     text = re.sub(r" \([^)]*\)", "", text.partition("; ")[0].rstrip(".")) + "."
     kinds: dict[str, tuple[str, Level, str]] = {
-        LARGE: (SIZES, "warning", "Find the cause before relying on the parameters."),
-        "scatter": ("Noise", "warning", "Check the stated noise first."),
-        EITHER: ("Tolerances", "warning", "Check the stated tolerances first."),
+        LARGE: (SIZES, "warning", "Find the cause first."),
+        "scatter": ("Noise", "warning", "Check the noise first."),
+        EITHER: ("Tolerances", "warning", "Check the tolerances first."),
         "noise": ("Noise", _rate(factor), advice),
         "tolerance": ("Tolerances", "bad", advice),
     }
@@ -132,7 +133,7 @@ def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, EITHER,
 def _state_held(study: StudyResults) -> list[Statement]:
     """Return which dimensions are not free, so that others make up for their errors."""
     held = list(map(str, study.summary.get("not_free", {}).get(study.best_name, [])))
-    action = "Give them tolerances and free them."
+    action = "Give them tolerances; free them."
     return [Statement(f"Not free: {name_some(held)}.", "warning", "Tolerances", action=action)] if held else []
 
 
@@ -151,7 +152,7 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
     which = "" if far is None else f", farthest {far} by {format_significant(pulls[far], 2)}"
     text = f"Deviations from nominal / stated tolerances: {format_significant(found.factor, 2)} (rms){which}."
-    action = "Prior–data conflict: widen these priors or check the model."
+    action = "Widen these priors or check the model."
     said = Statement(text, _rate(found.factor), "Tolerances", value=found.factor, limit=1.0, action=action)
     return [said, *_state_held(study)]
 
@@ -190,7 +191,7 @@ def _describe_bounds(study: StudyResults, beyond: int, total: int) -> str:
     """Return how many errors lie beyond their bounds, and how many are expected."""
     held = "held-back" if study.n_verification else "fitted"
     return (
-        f"{beyond} of {total} errors of {held} poses exceed their 95 % bounds; expected "
+        f"{beyond} of {total} errors of {held} poses exceed 95 % bounds; expected "
         f"{format_fixed((1 - BOUND) * total, 1)}."
     )
 
@@ -204,9 +205,9 @@ def _state_bounds(study: StudyResults) -> list[Statement]:
     too_few = beyond < (1 - BOUND) * total
     if judge_bounds(beyond, total, n_poses) >= RARE_BOUND or (too_few and not study.n_verification):
         return []
-    action = "Bounds too narrow: check noise and model."
+    action = "Check noise and model."
     if too_few:
-        action = "Bounds too wide: check noise, and errors that poses share."
+        action = "Check noise and common errors."
     text = _describe_bounds(study, beyond, total)
     level: Level = "warning" if too_few else "bad"
     return [Statement(text, level, "Bounds", value=beyond / total, limit=1.0 - BOUND, action=action)]
@@ -220,7 +221,7 @@ def state_coverage(study: StudyResults) -> list[Statement]:
     coverage = {name: fit["calibration"]["interval_90_coverage"] for name, fit in fits.items()}
     narrow = [name for name, share in coverage.items() if is_too_narrow(share, study.count_seen(name, "calibration"))]
     span = " to ".join(dict.fromkeys(format_percent(x) for x in (min(coverage.values()), max(coverage.values()))))
-    text = f"90 % predictive intervals hold {span} of the calibration measurements"
+    text = f"90 % intervals hold {span} of the measurements"
     text += f"; too narrow for {len(narrow)} of {len(fits)} variants." if narrow else "."
     level: Level = "warning" if narrow else "plain"
     found = [Statement(text, level, "Coverage", value=min(coverage.values()), limit=COVERAGE)]
@@ -245,7 +246,7 @@ def list_failures(study: StudyResults) -> list[Statement]:
     for variant, fit in study.fits.items():
         problems = [one for one in fit["problems"].split("; ") if one]
         if not problems and measure_gap(fit) > AGREEMENT:
-            problems = [f"the two log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
+            problems = [f"log-evidences differ by {format_fixed(measure_gap(fit), 2)} nat, limit {AGREEMENT}"]
         if not problems and not fit["converged"]:
             problems = ["not converged"]
         failures += [Statement(f"{study.label(variant)}: {problem}", "bad") for problem in problems]
@@ -267,12 +268,12 @@ def state_convergence(study: StudyResults) -> list[Statement]:
     fits = study.fits.values()
     failed = sum(not is_sound(fit) for fit in fits)
     if failed:
-        text = f"{failed} of {len(fits)} posteriors did not pass their checks."
+        text = f"{failed} of {len(fits)} posteriors failed checks."
         return [Statement(text, "bad", "Checks", value=float(failed), limit=0.0)]
     bulk = min(fit["ess_bulk_min"] for fit in fits)
     numbers = (
-        (f"Largest R-hat of {len(fits)} posteriors", max(fit["rhat_max"] for fit in fits), RHAT_LIMIT, 4),
-        ("Largest difference of evidence estimators", max(map(measure_gap, fits)), AGREEMENT, 3),
+        (f"Largest R-hat, {len(fits)} posteriors", max(fit["rhat_max"] for fit in fits), RHAT_LIMIT, 4),
+        ("Largest evidence difference", max(map(measure_gap, fits)), AGREEMENT, 3),
         ("Smallest bulk ESS", bulk, ESS_BULK_LIMIT, 0),
     )
     found = [

@@ -83,9 +83,9 @@ def _say_next(study: StudyResults) -> str:
     if not study.fit(study.chosen)["converged"] or find_rivals(study.candidates()):
         return f"Next: run again with {RERUN}"
     if count_solutions(study.fit(study.chosen)) > 1:
-        return "Next: add a measurement that excludes all solutions but one"
+        return "Next: exclude all solutions but one"
     if not study.required:
-        return "Next: state [requirements] to get pass or fail"
+        return "Next: state [requirements]"
     if study.required[""] >= LIKELY:
         return "No further measurement is needed"
     found = knowledge_page.state_next(study.tables, study.chosen, study.units)
@@ -101,7 +101,7 @@ def _say_uncertainty(study: StudyResults) -> str:
     every = study.rows(ToolUncertaintyRow, study.chosen)
     known = [row for row in every if math.isfinite(row.posterior_sd)]
     if not known:
-        return "the machine's own sensors do not determine its pose" if every else ""
+        return "own sensors do not determine the pose" if every else ""
     what = "tool" if study.summary.get("states_tool", True) else "coordinates"
     amounts = {row.coordinate: format_amount(row.posterior_sd, row.unit, 2, study.units) for row in known}
     where = "measured poses" if study.summary.get("region") == "measured" else "workspace"
@@ -118,7 +118,7 @@ def list_key_figures(study: StudyResults) -> list[KeyFigure]:
     found.append(KeyFigure("Residual / noise", format_significant(get_number(fit, "reduced_chi"), 2)))
     failed = sum(not is_sound(one) for one in fits)
     checks = f"{len(fits) - failed} of {len(fits)}"
-    found.append(KeyFigure("Sampler checks passed", checks, "", "bad" if failed else "good"))
+    found.append(KeyFigure("Checks passed", checks, "", "bad" if failed else "good"))
     return found if len(found) > 3 else [*found, KeyFigure("Poses", str(study.summary["n_poses"]["calibration"]))]
 
 
@@ -143,7 +143,7 @@ def _show_tool_error(study: StudyResults) -> list[KeyFigure]:
         before, after = float(rms["before_mm"]), float(rms["after_mm"])
         level: Level = "good" if after < before else "bad"
         value = f"{format_significant(before, 2)} → {format_significant(after, 2)}"
-        return [KeyFigure("Tool error, held back (rms)", value, "µm", level)]
+        return [KeyFigure("Tool error (verification, rms)", value, "µm", level)]
     known = [row for row in study.rows(ToolUncertaintyRow, study.chosen) if math.isfinite(row.posterior_sd)]
     return [show_predicted_error(known, study.units)] if known else []
 
@@ -153,7 +153,7 @@ def _show_required(study: StudyResults) -> list[KeyFigure]:
     if not study.required or not math.isfinite(study.required[""]):
         return [KeyFigure("Requirements", "fail", "", "bad")] if study.required else []
     level = rate_probability(study.required[""])
-    return [KeyFigure("Requirements kept with P", say_probability(study.required[""]), "", level)]
+    return [KeyFigure("P of requirements", say_probability(study.required[""]), "", level)]
 
 
 def _show_coverage(study: StudyResults) -> list[KeyFigure]:
@@ -161,7 +161,7 @@ def _show_coverage(study: StudyResults) -> list[KeyFigure]:
     for one in state_held_back(study):
         if math.isfinite(one.value) and one.limit == COVERAGE:
             share, expected = format_percent(one.value), f"of {format_percent(COVERAGE)}"
-            return [KeyFigure("Coverage, held back", share, expected, one.level)]
+            return [KeyFigure("Coverage", share, expected, one.level)]
     return []
 
 
@@ -226,7 +226,7 @@ def _state_accuracy(study: StudyResults) -> list[Statement]:
         found.append(Statement(text.replace(" °", "°"), lead="Accuracy", value=largest, unit=scale.unit))
     noise = study.summary.get("measurement_noise_um", {}).get(use)
     if found and noise is not None:
-        text = f"Noise of the {use} measurements: {format_significant(noise, 2)} µm rms."
+        text = f"Noise of {use} measurements: {format_significant(noise, 2)} µm rms."
         found.append(Statement(text, lead="Accuracy", value=float(noise), unit="µm"))
     return found
 
@@ -240,7 +240,7 @@ def _state_lead(study: StudyResults) -> list[Statement]:
         return []
     error = 2.0 * max(one.se for one in study.candidates() if one.converged)
     if error > DECISIVE:
-        text = "Evidence estimates are too uncertain to compare the variants."
+        text = "Evidence too uncertain to compare variants."
         return [Statement(text, "warning", "Evidence", value=error, limit=DECISIVE, unit="nat")]
     leaders = study.find_leaders()
     others = [name for name in study.compared if name not in leaders]
@@ -259,7 +259,7 @@ def _state_pairs(study: StudyResults) -> list[Statement]:
     n_apart = sum(study.distinguishes(*pair) for pair in pairs)
     if not 0 < n_apart < len(pairs) or len(study.compared) < 3:
         return []
-    text = f"{n_apart} of {len(pairs)} pairs of variants are distinguishable."
+    text = f"{n_apart} of {len(pairs)} pairs of variants distinguishable."
     return [Statement(text, lead="Pairs", value=n_apart, limit=len(pairs))]
 
 
@@ -281,11 +281,11 @@ def state_prediction(study: StudyResults) -> list[Statement]:
     elpd = {name: get_number(study.fit(name), "elpd") for name in study.compared}
     first = max((name for name in elpd if math.isfinite(elpd[name])), key=lambda name: elpd[name], default=None)
     if first is not None and first not in study.find_leaders():
-        text = f"{study.label(first)} predicts held-back readings best, but has a lower evidence."
+        text = f"{study.label(first)} predicts verification best, with lower evidence."
         found.append(Statement(text, "warning", "Prediction", value=elpd[first], unit="nat"))
     bad = {study.label(name): n for name in study.compared if (n := int(study.fit(name)["n_loo_bad_k"]))}
     if bad:
-        text = f"elpd LOO of {name_some(list(bad))} is approximate: Pareto k too large."
+        text = f"elpd LOO of {name_some(list(bad))} approximate: Pareto k."
         found.append(Statement(text, "warning", "Prediction", value=sum(bad.values()), limit=0.0))
     return found
 
@@ -324,7 +324,7 @@ def _state_stability(study: StudyResults) -> list[Statement]:
     matter = rows[rows["log_evidence"] > best - OUT_OF_QUESTION]
     unreliable = int((matter["pareto_k"] > PARETO_K_LIMIT).sum())
     if unreliable:
-        text = f"{unreliable} of {len(matter)} evidences near the best are unreliable (Pareto k)."
+        text = f"{unreliable} of {len(matter)} leading evidences unreliable (Pareto k)."
         found.append(Statement(text, "warning", "Stability", value=unreliable, limit=0.0))
     return found
 
@@ -341,8 +341,8 @@ def _compare_widths(study: StudyResults, wide: pd.DataFrame) -> Statement:
     least = float(lead.min())
     if least < -NOT_DISTINGUISHABLE:
         factor = float(lead.index[int(lead.argmin())])
-        text = f"The ranking is not stable: {study.label(str(rivals.loc[factor].idxmax()))} leads with priors "
+        text = f"Ranking not stable: {study.label(str(rivals.loc[factor].idxmax()))} leads with priors "
         text += f"{format_plain(factor)} times as wide."
         return Statement(text, "bad", "Stability", value=least, limit=-NOT_DISTINGUISHABLE, unit="nat")
-    text = f"The ranking is stable with {span}."
+    text = f"Ranking stable with {span}."
     return Statement(text, "good", "Stability", value=least, limit=-NOT_DISTINGUISHABLE, unit="nat")

@@ -133,9 +133,9 @@ def test_one_cause_is_named_where_it_is_better_than_any_other(make_results, alon
     assert (statement.action == f"{UNDECIDED}.") == (len(causes) > 1)
     table = next(block for block in show_model_error(study).blocks if isinstance(block, Table))
     shown = {row[0].text: row[2].text for row in table.rows}
-    assert shown["with time, in measuring order"] == "−68.0"
-    assert shown["no systematic error"].startswith("−60" if alone["none"] < 0.0 else "+3")
-    assert ("a function of the pose, alike in all channels, by itself" in shown) == ("gravity" in alone)
+    assert shown[KINDS["drift"].along] == "−68.0"
+    assert shown["none"].startswith("−60" if alone["none"] < 0.0 else "+3")
+    assert (f"{KINDS['gravity'].along}, by itself" in shown) == ("gravity" in alone)
 
 
 @pytest.mark.parametrize("tail", [1.2, 2.3])
@@ -159,8 +159,8 @@ def test_each_term_has_its_size_and_whether_the_data_show_it(make_results):
     section = show_model_error(read(make_results, all_unseen(positioning=SEEN)))
     table = next(block for block in section.blocks if isinstance(block, Table))
     rows = {row[0].text: [cell.text for cell in row[1:3]] for row in table.rows}
-    assert rows["a function of the own position"] == ["12 [8, 17]", "seen"]
-    assert rows["with time, in measuring order"] == ["1.2 [0.1, 4.0]", "no trace"]
+    assert rows[KINDS["positioning"].along] == ["12 [8, 17]", "seen"]
+    assert rows[KINDS["drift"].along] == ["1.2 [0.1, 4.0]", "no trace"]
     assert len(rows) == len(all_unseen())
 
 
@@ -171,13 +171,13 @@ def test_members_are_drawn_pose_by_pose_and_counted_over_the_calibration_poses(m
     poses.loc[poses["use"] == "verification", "mean"] = 1000.0  # no rms counts it
     section = show_model_error(read_study(make_results(more=tables, draws=False)))
     (figure,) = (block for block in section.blocks if isinstance(block, Figure) and block.name == "model_error")
-    assert "Shown are the 12 that err most" in figure.caption
+    assert "The 12 largest." in figure.caption
     drawn = figure.draw()
     assert [axes.get_title() for axes in drawn.axes] == [f"s[{k}]" for k in range(3, 15)]
     full, held = (line.get_ydata() for line in drawn.axes[0].lines[:2])
     assert np.allclose(full, [3.0, -3.0, 3.0, -3.0])
     assert np.allclose(held, 1000.0)
-    own = next(block for block in section.blocks if isinstance(block, Table) and "which channel" in block.caption)
+    own = next(block for block in section.blocks if isinstance(block, Table) and block.caption.startswith("By channel"))
     assert [cell.text for cell in own.rows[9]] == ["s[10]", "5.0", "10"]
 
 
@@ -230,7 +230,7 @@ def test_tau_of_each_leg_is_shown_where_it_has_its_own(make_results):
     (figure,) = (block for block in blocks if isinstance(block, Figure))
     assert figure.name == "tau"
     assert [line.get_ydata().tolist() for line in figure.draw().axes[0].lines[:1]] == [[4.0, 4.0]]
-    (table,) = next(block for block in blocks if isinstance(block, Fold) and "τ of every leg" in block.title).blocks
+    (table,) = next(block for block in blocks if isinstance(block, Fold) and block.title.startswith("τ ")).blocks
     assert [cell.text for cell in table.rows[0]] == ["pus/linear", "4.0 [2.4, 5.6]", "4.0 [2.4, 5.6]"]
 
 

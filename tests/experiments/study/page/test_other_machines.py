@@ -38,7 +38,7 @@ def test_parameters_of_struts_are_shown_strut_by_strut(make_results):
     assert [column.title for column in first.columns][-2:] == ["strut 1", "strut 2"]
     assert not any("leg " in getattr(block, "text", "") for block in section.blocks)
     assert "of strut 2 with" in state_ridges(study)[0].text
-    assert any(isinstance(block, Fold) and block.title.startswith("Every parameter") for block in section.blocks)
+    assert any(isinstance(block, Fold) and block.title.startswith("Parameters of ") for block in section.blocks)
 
 
 def test_joints_of_a_machine_without_members_are_shown_one_by_one(make_results):

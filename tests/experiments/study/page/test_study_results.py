@@ -15,15 +15,15 @@ from bayescal.experiments.study.page.results import StudyResults
 @pytest.mark.parametrize(
     ("path", "content", "found"),
     [
-        ("summary.json", None, "no such file"),
-        ("summary.json", "{", "cannot be read as JSON"),
+        ("summary.json", None, "no such"),
+        ("summary.json", "{", "not JSON"),
         ("summary.json", "{}", "expected str"),
-        ("provenance.json", None, "no such file"),
-        ("tables/pose_errors.csv", None, "no such file"),
+        ("provenance.json", None, "no such"),
+        ("tables/pose_errors.csv", None, "no such"),
         ("tables/least_squares.csv", "variant,parameter\n", "found columns"),
-        ("tables/deformation.csv", None, "no such file"),
-        ("tables/sensitivity.csv", None, "no such file"),
-        ("posterior/pus-none.nc", "no hdf5", "cannot be read as a posterior"),
+        ("tables/deformation.csv", None, "no such"),
+        ("tables/sensitivity.csv", None, "no such"),
+        ("posterior/pus-none.nc", "no hdf5", "not a posterior"),
     ],
 )
 def test_a_file_at_fault_is_named(make_results, path, content, found):
@@ -81,11 +81,11 @@ def test_text_where_numbers_are_expected_is_named(make_results):
 def test_a_missing_table_is_named(make_results, name):
     results = read_results(make_results())
     tables = {other: table for other, table in results.tables.items() if other != name}
-    with pytest.raises(InputError, match=rf"tables/{name}\.csv: found no rows, expected a study's table"):
+    with pytest.raises(InputError, match=rf"tables/{name}\.csv: found no rows"):
         StudyResults.of(replace(results, tables=tables))
 
 
 def test_results_that_stand_nowhere_name_the_file_alone(make_results):
     results = replace(read_results(make_results()), folder=None, summary={})
-    with pytest.raises(InputError, match=r"^summary\.json: experiment: found nothing, expected str"):
+    with pytest.raises(InputError, match=r"^summary\.json: experiment:"):
         StudyResults.of(results)
