@@ -308,7 +308,7 @@ def next_pose(
     Examples
     --------
     >>> print(bc.next_pose(study, {"x": 0.04, "z": 0.04}, candidates=20, quiet=True).summary["headline"])
-    Measure one more pose, candidate ...: after 12 poses the requirements hold...
+    Measure one more pose, candidate ... After 12 poses the probability that the requirements hold is ...
     """
     known = study.stated
     stated = StatedExperiment(files={**known.files, known.file: known.to_toml().encode()}, file=NEXT_POSE)

@@ -83,10 +83,10 @@ def state_headline(summary: dict[str, Any]) -> str:
     if infeasible:
         order = "Stop: more poses will not meet the requirements"
     if summary["goal"] == "variants":
-        probability, what = summary["variant_probability"], summary["variant"]
+        probability, what = summary["variant_probability"], f"{summary['variant']} is the right variant"
     else:
-        probability, what = summary["requirements"]["probability"], "the requirements"
-    said = f"P of {what} = {say_probability(probability, 1)} after {_count(n)}; target {wanted}"
+        probability, what = summary["requirements"]["probability"], "the requirements hold"
+    said = f"After {_count(n)} the probability that {what} is {say_probability(probability, 1)}; target {wanted}"
     return write_headline([order, said])
 
 
@@ -103,12 +103,12 @@ def _list_key_figures(results: Results) -> list[KeyFigure]:
         found.append(KeyFigure(name, error, row.unit, "good" if row.error <= row.limit else "bad"))
         now, then = (say_probability(required[key], 1) for key in ("probability", "probability_after_next"))
         enough = required["probability"] >= summary["stated_probability"]
-        found.append(KeyFigure("P now", now, "", "good" if enough else "warning"))
-        found.append(KeyFigure("next", then))
+        found.append(KeyFigure("Probability now", now, "", "good" if enough else "warning"))
+        found.append(KeyFigure("After the next pose", then))
     else:
         sure = summary["variant_probability"]
         level = "good" if sure >= summary["stated_probability"] else "warning"
-        found.append(KeyFigure("P of best variant", say_probability(sure, 1), summary["variant"], level))
+        found.append(KeyFigure("Probability of the best variant", say_probability(sure, 1), summary["variant"], level))
     k = summary["pareto_k"]
     found.append(KeyFigure("Pareto k", format_fixed(k, 2), "", "good" if k <= PARETO_K_LIMIT else "warning"))
     return found
