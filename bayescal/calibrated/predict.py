@@ -531,7 +531,7 @@ def check_shape(values: Array, names: list[str], what: str) -> None:
     if values.ndim != 2 or values.shape[1] != len(names):
         raise InputError(f"{what}: found shape {values.shape}, expected (poses, {len(names)}): {', '.join(names)}")
     if not len(values):
-        raise InputError(f"{what}: found none")
+        raise InputError(f"{what}: found none, expected at least one")
 
 
 def check_given(calibrated: CalibratedMachine, given: Given, n: int) -> None:

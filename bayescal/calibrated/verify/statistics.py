@@ -293,7 +293,9 @@ def _linearise(
         raise InputError("found no posterior draws, expected them")
     q, n_read = pose.shape[1], session.present.sum(axis=1)
     for k in np.flatnonzero(n_read <= q)[:1]:
-        raise InputError(f"{session.poses[k]}: found {n_read[k]} channels for {q} pose coordinates: no shift shows")
+        raise InputError(
+            f"{session.poses[k]}: found {n_read[k]} channels for {q} pose coordinates, expected more: no shift shows"
+        )
     error, by_pose, by_parameters = _compare(calibrated, session, pose)
     known, free = calibrated.functions, by_parameters[..., calibrated.free]
     drifting, beside = np.zeros((*error.shape, 0)), None

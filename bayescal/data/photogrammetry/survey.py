@@ -90,7 +90,7 @@ def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nda
             found = f"{len(rigid)} rigid targets on the {body}"
             raise InputError(f"{path}: found {found}, expected at least {MIN_TARGETS}")
         if is_collinear(rigid, COLLINEAR):
-            raise InputError(f"{path}: rigid targets of the {body} lie on a line")
+            raise InputError(f"{path}: rigid targets of the {body} lie on a line, expected them spread out")
         result[body] = ([n for n, c in zip(names, chosen, strict=True) if c], legs[chosen].astype(int), points[chosen])
     return result
 
@@ -131,4 +131,6 @@ def _check_seen(body: BodyTargets, name: str, poses: list[str], path: Path) -> N
             found = f"{visible.sum()} rigid targets on the {name}"
             raise InputError(f"{path}: pose {pose!r}: found {found}, expected at least {MIN_TARGETS}")
         if is_collinear(body.reference[visible], COLLINEAR):
-            raise InputError(f"{path}: pose {pose!r}: seen targets of the {name} lie on a line")
+            raise InputError(
+                f"{path}: pose {pose!r}: seen targets of the {name} lie on a line, expected them spread out"
+            )

@@ -600,7 +600,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
         if one.shape[: len(expected[0])] not in expected or one.ndim != len(expected[0]) + (what == "columns"):
             raise InputError(f"found {what} of shape {one.shape} for two machines, expected {expected[0]}")
         if not np.isfinite(one).all() or (what != "columns" and (one < 0.0).any()):
-            raise InputError(f"found {what} not finite or negative")
+            raise InputError(f"found {what} that is not finite, or negative")
 
 
 @dataclass(frozen=True, eq=False)

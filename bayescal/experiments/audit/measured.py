@@ -121,7 +121,7 @@ class MeasuredMachine:
         )
         values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():
-            raise InputError("poses: found unreachable ones")
+            raise InputError("poses: found one that the machine cannot reach, expected reachable poses")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))

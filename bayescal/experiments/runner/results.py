@@ -162,7 +162,7 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
     provenance = read_json(folder / PROVENANCE_FILE)
     kinds = provenance.get(TABLES)
     if not isinstance(kinds, dict) or not all(isinstance(columns, dict) for columns in kinds.values()):
-        raise InputError(f"{folder / PROVENANCE_FILE}: found no tables")
+        raise InputError(f"{folder / PROVENANCE_FILE}: found no tables, expected results of this version")
     empty = provenance.get(EMPTY_TABLES, {})
     lists = empty.values() if isinstance(empty, dict) else [None]
     if not all(isinstance(one, list) and all(isinstance(column, str) for column in one) for one in lists):

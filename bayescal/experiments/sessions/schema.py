@@ -126,7 +126,7 @@ class SessionsConfig(OfAnotherConfig):
         if self.drift.model == "random_walk":
             for one, before in zip(self.sessions, [None, *self.sessions], strict=False):
                 if one.time_days is None:
-                    raise ValueError(f"session {one.label!r}: found no time_days")
+                    raise ValueError(f"session {one.label!r}: found no time_days, expected it where parameters drift")
                 if before is not None and before.time_days is not None and one.time_days <= before.time_days:
                     raise ValueError(
                         f"session {one.label!r}: found time_days {one.time_days:g} after "

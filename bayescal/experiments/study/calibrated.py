@@ -381,7 +381,7 @@ def _build_errors(results: Results, variant: str, model: ReadingModel) -> Comman
     if not len(model.commanded):  # all channels stand beside the machine, and the table has no row
         return CommandErrors(np.zeros((0, 0)), np.zeros(0))
     if table.empty:
-        raise InputError(f"{results.folder}: found no table {ERRORS}.csv")
+        raise InputError(f"{results.folder}: found no table {ERRORS}.csv, expected results of this version")
     mine = table[table["variant"] == variant]
     if list(mine["channel"]) != list(model.commanded):
         raise InputError(

@@ -52,5 +52,5 @@ class TableConfig(OfAnotherConfig):
             if name not in self.reference:
                 raise ValueError(f"reference: found no {name}, expected it as an axis")
             if any(not low < high for low, high in pairwise(values)):
-                raise ValueError(f"axes.{name}: found values that do not rise")
+                raise ValueError(f"axes.{name}: found values that do not rise, expected each above the last")
         return self
