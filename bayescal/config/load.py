@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import tomllib
 from collections import Counter
@@ -59,6 +60,18 @@ def read_extended(path: Path, depth: int = 0) -> tuple[dict[str, Any], str]:
         raise InputError(f"{path}: {EXTENDS}: found {base!r}, expected a config in the same directory")
     below, _ = read_extended(path.parent / base, depth + 1)
     return merge(below, content), text
+
+
+def list_extended(name: str, folder: Path) -> tuple[str, ...]:
+    """Return a file with those that it extends, where it is TOML that does."""
+    found = [name]
+    while found[-1].endswith(".toml") and (folder / found[-1]).is_file():
+        base = read_toml(folder / found[-1])[0].get(EXTENDS)
+        other = os.path.normpath(Path(found[-1]).parent / base) if isinstance(base, str) else ""
+        if not other or other in found:
+            break
+        found.append(other)
+    return tuple(found)
 
 
 def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ import sweeps
 from fuzz.hostile import dump_toml
 from tiny_experiments import copy_tiny
 
+from bayescal.config.load import list_extended
 from bayescal.experiments.runner.load import load
 
 QUICK = {
@@ -139,10 +140,5 @@ def read_subject(config: Path) -> Subject:
     """Return a config with its files."""
     experiment, loaded = load(config)
     folder = config.parent
-    names = sorted({*experiment.files(loaded, folder), *_list_extended(config)})
+    names = sorted({*experiment.files(loaded, folder), *list_extended(config.name, folder)})
     return Subject(config, loaded.kind, (config, *(folder / name for name in names if not name.endswith(".py"))))
-
-
-def _list_extended(config: Path) -> list[str]:
-    base = tomllib.loads(config.read_text(encoding="utf-8")).get("extends")
-    return [] if base is None else [base, *_list_extended(config.parent / base)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
+from bayescal.experiments.shared.derived import list_study_files
 from bayescal.experiments.shared.readings.machine_kind import MachineExperiment, look_at_machine
 from bayescal.experiments.shared.search_memory import find_largest, list_variant
 from bayescal.report.blocks import Page
@@ -40,10 +40,8 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
         """Return the audit's files; those of a study whose data are audited, too."""
         names = super().files(config, folder)
         if config.data is not None:
-            experiment, study = load(folder / config.data.study)
-            beside = Path(config.data.study).parent
-            names += [os.path.normpath(beside / name) for name in experiment.files(study, folder / beside)]
-        return names
+            names += list_study_files(config.data.study, folder)
+        return list(dict.fromkeys(names))
 
     def modules(self, config: AuditConfig, folder: Path) -> dict[str, str]:
         """Return the hashes of others' modules, those of a study's classes too."""

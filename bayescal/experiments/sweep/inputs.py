@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.config.load import EXTENDS, check_section, merge, read_extended, read_toml
+from bayescal.config.load import check_section, list_extended, merge, read_extended, read_toml
 from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import permit, vouch
@@ -254,7 +254,7 @@ def read_sweep(config: SweepConfig, folder: Path) -> SweepInputs:
             raise InputError(f"axes.{number}: with {said}: {error}") from error
         files |= set(experiment.files(found, folder))
         modules |= experiment.modules(found, folder)
-    extended = {name: _list_extended(name, folder) for name in sorted(files)}
+    extended = {name: list_extended(name, folder) for name in sorted(files)}
     contents = {name: _read_file(folder / name) for names in extended.values() for name in names}
     whole = BaseExperiment(base.name, base.kind, base.text, base.content, {**base.files, **contents})
     for name, code in whole.list_code().items():  # whatever members make of it
@@ -309,18 +309,6 @@ def _read_file(path: Path) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _list_extended(name: str, folder: Path) -> tuple[str, ...]:
-    """Return a file with those that it extends, where it is TOML that does."""
-    found = [name]
-    while found[-1].endswith(".toml") and (folder / found[-1]).is_file():
-        base = read_toml(folder / found[-1])[0].get(EXTENDS)
-        other = os.path.normpath(Path(found[-1]).parent / base) if isinstance(base, str) else ""
-        if not other or other in found:
-            break
-        found.append(other)
-    return tuple(found)
-
-
 def list_files(inputs: SweepInputs) -> list[str]:
     """Return all files that a sweep's results depend on, the experiment's and those that it extends first."""
-    return list(dict.fromkeys([*_list_extended(inputs.config.experiment, inputs.folder), *inputs.base.files]))
+    return list(dict.fromkeys([*list_extended(inputs.config.experiment, inputs.folder), *inputs.base.files]))
