@@ -288,7 +288,7 @@ def build_certificate(found: Certificate) -> Page:
         verdict=tuple(_state_verdict(found)),
         sections=(
             PageSection("Subject", (_tabulate_subject(found),), "subject", "Subject"),
-            PageSection("Budget", (_tabulate_budget(found), shares), "budget", "Budget"),
+            PageSection("Uncertainty budget", (_tabulate_budget(found), shares), "budget", "Budget"),
             PageSection("ISO figures", (figures,), "figures", "Figures"),
             PageSection("Inputs", _list_inputs(found), "inputs", "Inputs"),
             PageSection("Method", (Definitions(_explain(found)),), "method", "Method"),
@@ -344,11 +344,11 @@ def _state_verdict(found: Certificate) -> list[Statement]:
     text += " of position." if model.places_tool else "."
     said.append(Statement(f"{text[:1].upper()}{text[1:]}", "plain", "Main source"))
     worst = found.ratios[np.argmax(np.abs(found.ratios - 1.0))] - 1.0
-    text = f"Monte Carlo ({found.spread.n_draws} draws) / k u: {100 * worst:+.1f} %"
+    text = f"Monte Carlo ({found.spread.n_draws} draws) differs from k u by {100 * worst:+.1f} %"
     if found.agrees:
-        said.append(Statement(f"{text} (limit {format_percent(AGREED)}): k u stated.", "good", "Checked"))
+        said.append(Statement(f"{text} (limit {format_percent(AGREED)}): k u is stated.", "good", "Checked"))
     else:
-        said.append(Statement(f"{text}: Monte Carlo stated.", "warning", "Checked"))
+        said.append(Statement(f"{text}: the Monte Carlo result is stated.", "warning", "Checked"))
     held_back, n = _find_held_back(found), found.summary.get("n_poses", {}).get("verification", 0)
     if held_back and n:
         inside = held_back["interval_90_coverage"]

@@ -114,7 +114,9 @@ def list_key_figures(results: AuditResults) -> list[KeyFigure]:
     if results.requirements:
         least = min(find_probability(results, r) for r in results.requirements)
         together = min(results.together, least) if math.isfinite(results.together) else least
-        found.append(KeyFigure("P of requirements", format_probability(together), "", rate_probability(together)))
+        found.append(
+            KeyFigure("Probability of all requirements", format_probability(together), "", rate_probability(together))
+        )
     found.append(KeyFigure("Information", format_fixed(results.summary["total_nats"], 0), "nat"))
     if (simulated := results.summary.get("simulated_calibrations")) is not None:
         share, enough = simulated["coverage_90"], simulated["n_converged"] == simulated["n"]

@@ -54,7 +54,7 @@ MOST_NAMED = 25  # poses with a name below the axis, legible on a telephone too
 BARS = "full bar: largest error, line: mean"
 BOUNDS = "Position error / 95 % bound. Open: verification; many red: overconfident."
 HELD_BACK = "Each predicted without its pose."
-WEIGHTS = "Weight near 0: outlier."
+WEIGHTS = "A pose of weight near 0 is an outlier."
 
 
 # --- errors of measured poses ----------------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ def _illustrate_joints(study: StudyResults) -> Figure:
     joints, name = locate_joints(study.geometry), "hardpoints"
     first = study.split(study.chosen)[0]
     models = sorted(study.models, key=lambda model: model != first)
-    several = " First model large." * (len(models) > 1)
+    several = " The first model is drawn large." * (len(models) > 1)
     keys = " (circle: none, cross: linear, triangle: matrix)" if "models" in study.summary else ""
     caption = (
         f"Joints from above{study.cite('figures', name)}: black: nominal; markers: posterior{keys}, "

@@ -42,7 +42,7 @@ from bayescal.report.symbols import (
 )
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
-CONTRACTION = "0.75: uncertainty halved."
+CONTRACTION = "A contraction of 0.75 halves the uncertainty."
 VERDICTS = {
     "identifiable": "uncertainty at least halved",
     "weak": "not halved",

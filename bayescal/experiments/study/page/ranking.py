@@ -165,8 +165,8 @@ def tabulate_effects(study: StudyResults) -> Table | None:
         ]
         for m in models
     ]
-    note = "One letter: equal fit."
-    note += " Best free set each." if study.free_sets else ""
+    note = "Variants that share a letter fit equally well."
+    note += " Each by its best free set." if study.free_sets else ""
     return make_table("Log-evidence by variant.", columns, rows, [Statement(note)])
 
 

@@ -153,7 +153,7 @@ def _show_required(study: StudyResults) -> list[KeyFigure]:
     if not study.required or not math.isfinite(study.required[""]):
         return [KeyFigure("Requirements", "fail", "", "bad")] if study.required else []
     level = rate_probability(study.required[""])
-    return [KeyFigure("P of requirements", say_probability(study.required[""]), "", level)]
+    return [KeyFigure("Probability of all requirements", say_probability(study.required[""]), "", level)]
 
 
 def _show_coverage(study: StudyResults) -> list[KeyFigure]:
