@@ -127,12 +127,17 @@ class _Followers:
         return np.setdiff1d(np.arange(len(self.basis)), self.loose)
 
     def follow(self, place: Array) -> Array:
-        """Return how far the others are best off the mode at a place (u,) of the loose ones, (m - u,)."""
+        """Return how far the others are best off the mode at a place (u,) of the loose ones, (m - u,).
+
+        NaN where the density has no slope on the way.
+        """
         m, at, own = len(self.basis), self.y.copy(), self.basis[:, self.held]
         at[:m] += self.basis[:, self.loose] @ place
         moved = np.zeros(len(self.held))
         for _ in range(NEWTON_STEPS):
             gradient, precision = differentiate_geometry(self.posterior, at)
+            if not (np.isfinite(gradient).all() and np.isfinite(precision).all()):  # LAPACK prints a line of its own
+                return np.full(len(self.held), np.nan)
             step = np.linalg.lstsq(own.T @ precision @ own, own.T @ gradient, rcond=None)[0]
             moved += step
             at[:m] += own @ step

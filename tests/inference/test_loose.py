@@ -128,3 +128,18 @@ def test_nothing_where_nothing_is_bent_loose_or_held():
     assert fit_loose_shear(bend(3, 2, size=1e-3), np.zeros(5)) is None
     assert fit_loose_shear(bend(0, 2), np.zeros(2)) is None
     assert fit_loose_shear(bend(3, 0), np.zeros(3)) is None
+
+
+@dataclass(frozen=True, eq=False)
+class Torn(Arc):
+    """An arc that has no slope beyond a turn."""
+
+    def gradient(self, y):
+        slope, hessian = super().gradient(y)
+        return (slope, hessian) if np.abs(y[len(self.bent) :]).max() < 0.5 else (np.nan * slope, np.nan * hessian)
+
+
+def test_a_density_without_a_slope_on_the_way_is_not_followed_and_prints_nothing(capfd):
+    arc = Torn(bend(4, 3).bent)
+    assert fit_loose_shear(arc, np.zeros(arc.n_parameters)) is None
+    assert capfd.readouterr() == ("", "")
