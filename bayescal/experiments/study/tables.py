@@ -166,7 +166,7 @@ def compare_variants(left_out: Mapping[str, LeaveOneOut]) -> pd.DataFrame:
 
     best = np.max([one.elpd for one in left_out.values()], axis=0)
     data = {name: _as_elpd_data(one.elpd - best, one.pareto_k) for name, one in left_out.items()}
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), np.errstate(divide="ignore"):  # trial weights at which no variant predicts a row
         # bad poses are refitted or counted, and which variant to choose the evidence says
         warnings.simplefilter("ignore", UserWarning)
         return compare(data, method="stacking", round_to="none")
