@@ -41,6 +41,7 @@ if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
     from bayescal.calibrated.predict import predict_poses as predict_poses
     from bayescal.config.sections import Section as Section
     from bayescal.config.trust import trust as trust
+    from bayescal.data.reader import TableReader as TableReader
     from bayescal.density.calibration.terms import ErrorTerm as ErrorTerm
     from bayescal.errors import (
         BayescalError as BayescalError,
@@ -104,6 +105,7 @@ _HOMES = {
     "Coordinate": "bayescal.machines.readings",
     "Channel": "bayescal.machines.readings",
     "Instrument": "bayescal.machines.readings",
+    "TableReader": "bayescal.data.reader",
     "ErrorTerm": "bayescal.density.calibration.terms",
     "Section": "bayescal.config.sections",
     "BayescalError": "bayescal.errors",

@@ -206,7 +206,7 @@ def _begin(kind: str, machine: AnyMachine, name: str, title: str, seed: int) -> 
 
 def calibrate(
     machine: AnyMachine,
-    data: Data | Mapping[str, Any],
+    data: Data | Mapping[str, Any] | Sequence[Mapping[str, Any]],
     tolerances: Widths,
     *,
     variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
@@ -224,9 +224,9 @@ def calibrate(
     ----------
     machine : Path, str, ReadingMachine or MachineFiles
         See `load_machine`.
-    data : Data or mapping
-        Readings; or the section [data] of a config with what an instrument measured of a mechanism's platform (targets,
-        poses, points), files in it as Paths or DataFrames, and [provenance] in ``provenance``.
+    data : Data, mapping or sequence of mappings
+        Readings; or one or several tables [[data]] of a config, such as targets, poses or points that an instrument
+        measured, files in them as Paths or DataFrames. Their noise is in ``sensors``, their origin in ``provenance``.
     tolerances : mapping
         By symbol: standard deviation about nominal, mm and degrees (or as ``units`` says), one or one per leg; or a
         section such as ``{"prior": "uniform", "half_width": 0.5}``. What has none is known.
@@ -264,9 +264,12 @@ def calibrate(
     if isinstance(data, Data):
         data.state(stated, found.channels)
     elif isinstance(data, Mapping):
-        stated.state(data=data)
+        stated.labels["data.0"] = "data"
+        stated.state(data=[data])
+    elif isinstance(data, Sequence) and all(isinstance(one, Mapping) for one in data):
+        stated.state(data=list(data))
     else:  # nobody is held by annotations
-        kind = type(data).__name__  # type: ignore[unreachable]
+        kind = type(data).__name__
         raise InputError(f"data: found a {kind}, expected Data(table, noise), which states the noise of its channels")
     _state_models(stated, tolerances, variants)
     stated.state(**sections)

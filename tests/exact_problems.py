@@ -14,7 +14,7 @@ import telescope_machines as machines
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel
-from bayescal.experiments.shared.readings.instrument_poses import Pads
+from bayescal.experiments.shared.readings.pads import Pads
 from bayescal.experiments.study.readings import weigh_beside
 from bayescal.inference.correction import correct_evidence
 from bayescal.inference.exploration import explore
@@ -52,7 +52,9 @@ def list_matrix_terms(machine, poses, covariance, with_poses) -> tuple[Correlate
     whole[np.ix_(REST, REST)], pairs[:, REST] = covariance, with_poses
     base = SimpleNamespace(base=SimpleNamespace(rotation=np.tile(np.eye(3), (poses.n_poses, 1, 1))))
     pads = Pads(None, SimpleNamespace(covariance=whole, with_pose=pairs), None, base)
-    return pads.list_terms(Legs(machine), poses, np.zeros(poses.n_poses, dtype=bool))
+    legs = Legs(machine)
+    both, alone = pads.list_terms(legs, legs.names, poses, np.zeros(poses.n_poses, dtype=bool))
+    return CorrelatedNoise(both), CorrelatedNoise(alone, -1.0)
 
 
 def draw_problem(model, deformation, symbols, rng, n_poses=40, shared=False, matrix_sd=MATRIX_SD):

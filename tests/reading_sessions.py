@@ -54,7 +54,7 @@ def write_sessions(folder: Path, variant: str = "one_rod", moved: tuple[float, .
         lines = ["pose,s_1_mm,s_2_mm,s_3_mm,cam_x_mm,cam_y_mm,height_mm"]
         lines += [f"P{n},{','.join(f'{x:.6f}' for x in row)}" for n, row in enumerate(values, start=1)]
         (path.parent / f"month_{k}.csv").write_text("\n".join(lines) + "\n")
-        text += f'\n[[sessions]]\nlabel = "M{k}"\ntime_days = {30.0 * k}\nreadings = ["month_{k}.csv"]\n'
+        text += f'\n[[sessions]]\nlabel = "M{k}"\ntime_days = {30.0 * k}\ndata = [{{ file = "month_{k}.csv" }}]\n'
         text += f"temperature_celsius = {warm}\n"
     (path.parent / "sessions.toml").write_text(text)
     return path.parent / "sessions.toml"

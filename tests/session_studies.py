@@ -66,8 +66,9 @@ def write_sessions(folder: Path, thermal: bool = True) -> Path:
     studies.write_texts(folder, _make_texts())
     text = SESSIONS + (THERMAL if thermal else "")
     for k, warm in enumerate(WARM, start=1):
-        text += f'[[sessions]]\nlabel = "S{k}"\ntime_days = {30.0 * k}\ntargets = "data/{k}/targets.csv"\n'
-        text += f'actuators = "data/{k}/actuators.csv"\n' + (f"temperature_celsius = {warm}\n" if thermal else "")
+        text += f'[[sessions]]\nlabel = "S{k}"\ntime_days = {30.0 * k}\n'
+        text += f'data = [{{ file = "data/{k}/targets.csv", actuators = "data/{k}/actuators.csv" }}]\n'
+        text += f"temperature_celsius = {warm}\n" if thermal else ""
     (folder / "sessions.toml").write_text(text)
     return folder / "sessions.toml"
 

@@ -76,12 +76,15 @@ DATA = """machine = "mechanism.toml"
 status = "simulated"
 text = "for the tests"
 
-[data]
-targets = "data/targets.csv"
+[[data]]
+kind = "targets"
+file = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"
 target_noise_um = 3.0
-actuator_noise_um = 1.0
+
+[sensors]
+rho = { noise_um = 1.0 }
 
 [deformation]"""
 """What studies of targets on disk have in common."""
@@ -132,13 +135,14 @@ draws = 100
 prior_width_factors = [1.0]
 """
 
-BY_TARGETS = """targets = "data/targets.csv"
+BY_TARGETS = """kind = "targets"
+file = "data/targets.csv"
 actuators = "data/actuators.csv"
 reference = "data/target_reference.csv"
 target_noise_um = 3.0
 """
-BY_POSES = """instrument = "poses"
-poses = "data/poses.csv"
+BY_POSES = """kind = "poses"
+file = "data/poses.csv"
 actuators = "data/actuators.csv"
 """
 """What a tiny study's data are: targets, or in their place the poses found from them."""
@@ -251,8 +255,7 @@ def load_study(path: Path) -> StudyInputs:
 def feed_poses(path: Path) -> str:
     """Return the poses that a study of targets found as the text of a table of poses."""
     inputs = load_study(path)
-    assert inputs.seen is not None
-    return format_poses(inputs.seen.measured, inputs.config.provenance)
+    return format_poses(inputs.measured[0], inputs.config.provenance)
 
 
 def copy_small(config: Path, folder: Path) -> Path:

@@ -89,12 +89,13 @@ def hexapod(tmp_path_factory):
 
 def calibrate_hexapod(folder, as_table):
     content = tomllib.loads((folder / "study.toml").read_text())
-    data = {key: as_table(folder / one) if str(one).endswith(".csv") else one for key, one in content["data"].items()}
+    (table,) = content["data"]
+    data = {key: as_table(folder / one) if str(one).endswith(".csv") else one for key, one in table.items()}
     rigid = {key: one for key, one in content["variants"][0].items() if key not in ("name", "title")}
     assert repr(bc.load_machine(folder / content["machine"])).endswith(": 6 legs")
     return bc.calibrate(
         *(folder / content["machine"], data, content["parameters"]),
-        **{"variants": {"rigid": rigid}, "provenance": content["provenance"]},
+        **{"variants": {"rigid": rigid}, "provenance": content["provenance"], "sensors": content["sensors"]},
         **{"quiet": True, "model_error": {"terms": ["random"]}},
         **{key: TINY[key] for key in ("sampler", "evidence", "validation")},
     )

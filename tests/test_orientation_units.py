@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
+from bayescal.experiments.shared.readings.data_schema import PoseDataConfig
 from bayescal.experiments.shared.schema import PoseSensorConfig
-from bayescal.experiments.shared.study_schema import PoseDataConfig
 from bayescal.experiments.simulation.schema import PoseInstrumentConfig
 
 SECTIONS = {
     PoseSensorConfig: {"kind": "pose"},
     PoseInstrumentConfig: {"kind": "poses", "position_um": 1.0},
-    PoseDataConfig: {"instrument": "poses", "poses": "p.csv", "actuator_noise_um": 1.0},
+    PoseDataConfig: {"kind": "poses", "file": "p.csv"},
 }
 
 

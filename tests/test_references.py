@@ -74,6 +74,6 @@ def test_a_page_of_a_kind_has_its_keys(examples):
     page = references.write_page("study", "", schema, examples)
     row = "| `target_noise_um` | Standard deviation of a target's coordinates.<br>`target_noise_um = 10.0` | µm |"
     assert row in page
-    assert '## `[data]` with `instrument = "poses"`' in page
+    assert '## `[[data]]` with `kind = "poses"`' in page
     assert "## `[[variants]]`" in page
     assert "`[parameters.NAME]`" in page

@@ -407,10 +407,11 @@ def _find_stated(
         return position_um, orientation_arcsec
     if not (results / PROVENANCE_FILE).is_file():
         return None
-    data = read_json(results / PROVENANCE_FILE).get("config", {}).get("data", {})
-    rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
-    position = data.get("position_um")
-    return None if position is None or rotation is None else (float(position), rotation)
+    for data in read_json(results / PROVENANCE_FILE).get("config", {}).get("data", []):
+        rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
+        if rotation is not None and (position := data.get("position_um")) is not None:
+            return float(position), rotation
+    return None
 
 
 # --- readings of any machine -----------------------------------------------------------------------------------------
@@ -429,10 +430,10 @@ def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: Calibra
 
 def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     from bayescal.density.calibration.measurements import Measurements
+    from bayescal.experiments.shared.readings.data_schema import ReadingsDataConfig
     from bayescal.experiments.shared.readings.reading_tables import read_tables
-    from bayescal.experiments.shared.readings.schema import DataTableConfig
 
-    section = DataTableConfig.model_construct(file=path.name)
+    section = ReadingsDataConfig.model_construct(file=path.name)
     found = read_tables([section], path.parent, calibrated.model.channels, calibrated.model.given)
     return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
 

@@ -177,18 +177,20 @@ def poses_from_targets(
     from bayescal.config.load import look_up
     from bayescal.data.photogrammetry.poses import METHODS
     from bayescal.experiments.runner.load import load_kind
-    from bayescal.experiments.shared.readings.measurement import read_measurement
+    from bayescal.experiments.shared.readings.data_schema import TargetDataConfig
+    from bayescal.experiments.shared.readings.inputs import read_first_machine
+    from bayescal.experiments.shared.readings.measurement import measure_tables
     from bayescal.experiments.study.tables import format_poses
-    from bayescal.machines.read import load_mechanism
 
     config = load_kind(experiment, "study")
     check_out(out)
-    found = "tables of readings" if config.by_tables else config.measured.instrument
-    if found != "targets":
-        raise InputError(f"{experiment}: data.instrument: found {found!r}, expected 'targets'")
+    tables = [one for one in config.data if isinstance(one, TargetDataConfig)]
+    if len(tables) != 1:
+        raise InputError(f"{experiment}: data: found {len(tables)} tables of targets, expected one")
     if method is not None:
         look_up(METHODS, method, "--method")
-        config = config.model_copy(update={"data": config.data.model_copy(update={"pose_estimator": method})})
+        tables = [tables[0].model_copy(update={"pose_estimator": method})]
+    config = config.model_copy(update={"data": tables})
     folder = experiment.parent
-    measured = read_measurement(config, folder, load_mechanism(folder / config.machine))
-    put(format_poses(measured, config.provenance), out)
+    measured = measure_tables(config, folder, read_first_machine(config, folder))
+    put(format_poses(measured[0], config.provenance), out)

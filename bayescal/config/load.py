@@ -9,7 +9,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
@@ -167,9 +167,19 @@ def _find_sections(schema: Any, location: list[Any]) -> list[type[BaseModel]]:
 def _step(kind: Any, part: Any) -> list[Any]:
     if str(part).startswith(MEASURED):
         return _find_tagged(kind, part)
+    if isinstance(part, int):
+        return _list_items(kind)
     models = _models(kind)
     hits = [m.model_fields[part].annotation for m in models if part in m.model_fields]
     return hits or models
+
+
+def _list_items(kind: Any) -> list[Any]:
+    """Return what the items of a list are, of what may be one."""
+    kind = getattr(kind, "__value__", kind)
+    if get_origin(kind) is list:
+        return list(get_args(kind))
+    return [hit for one in get_args(kind) for hit in _list_items(one)]
 
 
 def _find_tagged(kind: Any, tag: str) -> list[Any]:

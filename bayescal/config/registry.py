@@ -53,6 +53,7 @@ REGISTRIES = {
     "INSTRUMENTS": Registry(
         (f"{_MACHINES}.readings",), "bayescal.instruments", f"{_MACHINES}.readings.placed:Instrument"
     ),
+    "READERS": Registry((), "bayescal.readers", "bayescal.data.reader:TableReader"),
     "MODELS": Registry(
         (f"{_MACHINES}.models",), "bayescal.models", f"{_MACHINES}.models:KinematicModel", ("name", "title")
     ),

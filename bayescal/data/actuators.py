@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import CsvTable, read_matrix, read_table
+from bayescal.machines.readings import Channel
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import units_like
 
 OVERTRAVEL = 0.05
 """Share of the range by which a position that was read may lie outside of it."""
@@ -17,18 +19,36 @@ STIRRING = 0.1
 """Share of the range below which a plan hardly moves the machine: nobody meant that."""
 USES = ("calibration", "verification")
 
-
-def name_actuators(n_legs: int) -> tuple[str, ...]:
-    """Return the columns of actuator positions."""
-    return tuple(f"rho_{leg}_mm" for leg in range(1, n_legs + 1))
+type Columns = Mapping[str, float]
+"""Columns of N actuator positions, each with the factor to the unit of the channel that it is of."""
 
 
-def read_actuators(path: Path, n_legs: int) -> tuple[list[str], np.ndarray, Array]:
-    """Return the names of P poses, which are for verification (P,), and their actuator positions (P, N), mm."""
-    table = read_table(path, ("pose", "use", *name_actuators(n_legs)))
+def name_actuators(n_legs: int) -> Columns:
+    """Return the columns of the actuator positions of a machine on legs."""
+    return {f"rho_{leg}_mm": 1.0 for leg in range(1, n_legs + 1)}
+
+
+def choose_columns(channels: Sequence[Channel], path: Path) -> Columns:
+    """Return the columns of commanded channels: each in the unit in which a table has it, else in its own."""
+    there, found = read_table(path, None).columns, dict[str, float]()
+    for one in channels:
+        units = {f"{one.stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
+        name = next((name for name in units if name in there), f"{one.stem}_{one.unit}")
+        found[name] = units[name]
+    return found
+
+
+def read_positions(table: CsvTable, columns: Columns) -> Array:
+    """Return the actuator positions of a table (P, N), in the units of their channels."""
+    return table.numbers(list(columns)) * np.array(list(columns.values()))
+
+
+def read_actuators(path: Path, columns: Columns) -> tuple[list[str], np.ndarray, Array]:
+    """Return the names of P poses, which are for verification (P,), and their actuator positions (P, N)."""
+    table = read_table(path, ("pose", "use", *columns))
     poses = table.text("pose")
     table.check_unique([(pose,) for pose in poses], "pose")
-    return poses, read_uses(table), table.numbers(name_actuators(n_legs))
+    return poses, read_uses(table), read_positions(table, columns)
 
 
 def read_uses(table: CsvTable) -> np.ndarray:
@@ -40,24 +60,47 @@ def read_uses(table: CsvTable) -> np.ndarray:
     return np.array([use == "verification" for use in uses])
 
 
-def check_range(actuators: Array, home: Array, largest: float, names: Sequence[str]) -> None:
+def check_travel(actuators: Array, limits: Array, channels: Sequence[Channel], names: Sequence[str]) -> None:
+    """Raise InputError where positions (P, N) lie beyond the limits (N, 2) of commanded channels, where there are any.
+
+    Lengths and others are looked at by themselves; the message names a leg's channel by its leg.
+    """
+    for unit in dict.fromkeys(one.unit for one in channels):
+        some = [k for k, one in enumerate(channels) if one.unit == unit and np.isfinite(limits[k]).all()]
+        middle, reach = limits[some].mean(axis=1), 0.5 * np.ptp(limits[some], axis=1)
+        words = [f"leg {channels[k].name[4:-1]}" if channels[k].kind == "rho" else channels[k].name for k in some]
+        if some:
+            check_range(actuators[:, some], middle, reach, names, words, unit)
+
+
+def check_range(
+    actuators: Array,
+    home: Array,
+    largest: float | Array,
+    names: Sequence[str],
+    words: Sequence[str] = (),
+    unit: str = "mm",
+) -> None:
     """Raise InputError where actuators have moved further than they can; the message tries what may have gone wrong.
 
-    Positions (P, N), the initial ones (N,) and the largest displacement from there, mm; names of the poses.
+    Positions (P, N), the initial ones (N,) and the largest displacements from there, in one unit; names of the poses,
+    and words for the actuators, legs where there are none.
     """
     moved = np.abs(actuators - home)
-    limit = largest * (1.0 + OVERTRAVEL)
+    reach = np.broadcast_to(largest, home.shape)
+    limit = reach * (1.0 + OVERTRAVEL)
     if not np.any(moved > limit):
         return
-    pose, leg = divmod(int(np.argmax(moved)), len(home))
+    pose, leg = divmod(int(np.argmax(moved - limit)), len(home))
+    word = words[leg] if words else f"leg {leg + 1}"
     raise InputError(
-        f"pose {names[pose]!r}, leg {leg + 1}: found {actuators[pose, leg]:g} mm, "
-        f"{moved[pose, leg]:.3g} mm from the initial position, expected at most {largest:g} "
-        f"mm{_explain(actuators, home, limit)}"
+        f"pose {names[pose]!r}, {word}: found {actuators[pose, leg]:g} {unit}, "
+        f"{moved[pose, leg]:.3g} {unit} from the initial position, expected at most {reach[leg]:g} "
+        f"{unit}{_explain(actuators, home, limit) if unit == 'mm' else ''}"
     )
 
 
-def _explain(actuators: Array, home: Array, limit: float) -> str:
+def _explain(actuators: Array, home: Array, limit: Array) -> str:
     """Return what was perhaps written instead of positions in mm, found by trying it."""
     tried = {
         "; displacements instead of positions?": actuators + home,
@@ -69,7 +112,7 @@ def _explain(actuators: Array, home: Array, limit: float) -> str:
     travel = {word: float(np.ptp(other, axis=0).max()) for word, other in tried.items()}
     fits = [word for word, other in tried.items() if np.all(np.abs(other - home) <= limit)]
     best = max(fits, key=travel.__getitem__, default="")
-    return best if best and travel[best] > STIRRING * limit else ""
+    return best if best and travel[best] > STIRRING * limit.max() else ""
 
 
 def read_moves(path: Path, unit: float, n_legs: int) -> Array:

@@ -26,7 +26,7 @@ shear along l this has unit Jacobian.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from math import prod
 from typing import Self
@@ -55,6 +55,8 @@ class Coordinates:
     legs: Array
     lower: Array  # (n,): bounds of each free parameter, infinite where there are none
     upper: Array  # (n,)
+    # of the machine on legs, without those of instruments beside it; None for all
+    symbols: tuple[str, ...] | None = field(default=None, kw_only=True)
 
     @cached_property
     def bounded(self) -> np.ndarray:
@@ -422,7 +424,7 @@ class ClosingCoordinates(Coordinates):
     @classmethod
     def around(cls, known: Coordinates, machine: Machine, position: Array, rotation: Array, actuators: Array) -> Self:
         """Return coordinates as they are but for the leg lengths."""
-        as_they_are = {field.name: getattr(known, field.name) for field in fields(Coordinates)}
+        as_they_are = {one.name: getattr(known, one.name) for one in fields(Coordinates)}
         return cls(**as_they_are, machine=machine, position=position, rotation=rotation, actuators=actuators)
 
     @cached_property

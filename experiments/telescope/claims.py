@@ -92,7 +92,7 @@ class Rr8096(Claims):
 
     def check(self, inputs: StudyInputs) -> None:
         """Refuse a study without targets, and printed tables that cannot be read."""
-        if inputs.seen is None or inputs.seen.measured.targets is None:
+        if inputs.pads is None:
             found = inputs.config.published_claims
             raise InputError(f"{inputs.folder}: claims: found {found!r} without targets, expected measured targets")
         read_tables(inputs)

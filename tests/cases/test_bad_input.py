@@ -79,6 +79,13 @@ def copy_column(study: Path) -> None:
     path.write_text(text)
 
 
+def frame(study: Path) -> None:
+    """Say that the frame of the instrument has to be found."""
+    text = study.read_text()
+    assert "\n[sensors]\n" in text
+    study.write_text(text.replace("[sensors]", "frames.base = { position = 2.0, rotation = 0.1 }\n\n[sensors]", 1))
+
+
 FAULTS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = {
     "frame: a tool without a place": (
         write_cell,
@@ -89,7 +96,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = 
         write_hexapod,
         lambda study: [
             head('accuracy_frame = "base"')(study),
-            put("[frames]\nbase = { position = 2.0, rotation = 0.1 }")(study),
+            frame(study),
         ],
         "accuracy_frame: found 'base', but base_",
     ),

@@ -53,7 +53,7 @@ def test_shipped_studies_build_every_variant():
     assert list(inputs.variants) == [one.name for one in inputs.config.variants]
     models, deformations = ("six_pus", "jacobian", "beam", "stiffness"), ("none", "linear", "matrix")
     assert [v.name for v in inputs.config.variants] == [f"{m}/{d}" for m in models for d in deformations]
-    assert inputs.seen.measured.poses.n_poses == 46
+    assert inputs.measured[0].poses.n_poses == 46
     assert int(inputs.verification.sum()) == 6
 
 
@@ -75,10 +75,10 @@ def test_kind_chooses_the_schema():
         ("[truth.offsets]", "[truth.ofsets]", "truth.ofsets", "offsets"),
         ("seed = 11", "sede = 11", "sede", "seed"),
         ("[sampler]", "[samplers]", "samplers", "sampler"),
-        ("[data]", "[date]", "date", "data"),
+        ("[[data]]", "[[date]]", "date", "data"),
         ("[[variants]]", "[[variant]]", "variant", "variants"),
-        ("target_noise_um", "target_noise_mm", "data.target_noise_mm", "target_noise_um"),
-        ("actuator_noise_um", "actuator_noise", "data.actuator_noise", "actuator_noise_um"),
+        ("target_noise_um", "target_noise_mm", "data.0.target_noise_mm", "target_noise_um"),
+        ("{ noise_um", "{ noise_nm", "sensors.rho.noise_nm", "noise_um"),
         ("random_scale_um", "scale_mm", "model_error.scale_mm", "random_scale_um"),
         ("prior_width_factors = ", "prior_width_factor = ", "sensitivity.prior_width_factor", "prior_width_factors"),
         ("walkers", "walker", "sampler.walker", "walkers"),
@@ -102,12 +102,12 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
 @pytest.mark.parametrize(
     ("old", "new", "field", "found"),
     [
-        ("target_noise_um = 3.0", 'target_noise_um = "3 um"', "data.target_noise_um", "'3 um'"),
-        ("target_noise_um = 3.0", "target_noise_um = true", "data.target_noise_um", "True"),
-        ("target_noise_um = 3.0", "target_noise_um = nan", "data.target_noise_um", "nan"),
-        ("target_noise_um = 3.0", "target_noise_um = 0", "data.target_noise_um", "0"),
-        ("actuator_noise_um = 1.0", "actuator_noise_um = -inf", "data.actuator_noise_um", "-inf"),
-        ("actuator_noise_um = 1.0", "actuator_noise_um = -1.0", "data.actuator_noise_um", "-1.0"),
+        ("target_noise_um = 3.0", 'target_noise_um = "3 um"', "data.0.target_noise_um", "'3 um'"),
+        ("target_noise_um = 3.0", "target_noise_um = true", "data.0.target_noise_um", "True"),
+        ("target_noise_um = 3.0", "target_noise_um = nan", "data.0.target_noise_um", "nan"),
+        ("target_noise_um = 3.0", "target_noise_um = 0", "data.0.target_noise_um", "0"),
+        ("rho = { noise_um = 1.0", "rho = { noise_um = -inf", "sensors.rho.noise_um", "-inf"),
+        ("rho = { noise_um = 1.0", "rho = { noise_um = -1.0", "sensors.rho.noise_um", "-1.0"),
         ("sd = 2.0", 'sd = "2 mm"', "parameters.l.sd", "'2 mm'"),
         ("sd = 2.0", "sd = true", "parameters.l.sd", "True"),
         ("sd = 2.0", "sd = -2.0", "parameters.l.sd", "-2.0"),
@@ -141,9 +141,9 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
     ("old", "field"),
     [
         ("^seed = 11\n", "seed"),
-        ('^targets = "data/targets.csv"\n', "data.targets"),
+        ('^file = "data/targets.csv"\n', "data.0.file"),
         (", sd = 2.0", "parameters.l.sd"),
-        (r"^\[data\]\n(?:[^\[\n].*\n|\n)*", "data"),
+        (r"^\[\[data\]\]\n(?:[^\[\n].*\n|\n)*", "data"),
         (r"^\[parameters\]\n(?:[^\[\n].*\n|\n)*", "parameters"),
         (r"\[\[variants\]\]\n(?:[^\[\n].*\n)*", "variants"),
     ],

@@ -96,7 +96,7 @@ def test_pads_that_nobody_uses_are_no_fault(tmp_path):
     del content["parameters"]["kappa"]
     path.write_text(dump_toml(content))
     inputs = StudyInputs.load(load_experiment(path), tmp_path)
-    assert inputs.seen.pads is None
+    assert inputs.pads.pads is None
 
 
 # --- what does not come out ------------------------------------------------------------------------------------------

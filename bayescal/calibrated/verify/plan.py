@@ -25,7 +25,7 @@ from bayescal.calibrated.verify.statistics import (
     say_shift,
     say_size,
 )
-from bayescal.data.actuators import check_range
+from bayescal.data.actuators import check_range, name_actuators
 from bayescal.data.instruments.read_poses import (
     DEVIATIONS,
     UNITS,
@@ -40,7 +40,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, Legs, as_legs
+from bayescal.machines.readings import POSE, Given, Legs, as_legs, locate_tool
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -285,13 +285,13 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
     """
     machine = calibrated.legs
     mechanism = machine.mechanism
-    readings, _ = read_poses(path, actuators, noise, mechanism.n_legs)
+    readings, _ = read_poses(path, actuators, noise, name_actuators(mechanism.n_legs))
     turned = np.isfinite(readings.values[:, 3:])
     for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
         raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
     with name_faults(path if actuators is None else actuators):
         check_range(readings.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, readings.names)
-    check_units(machine, readings, path)
+    check_units(locate_tool(calibrated.model, readings.actuators), readings, path)
     return readings
 
 

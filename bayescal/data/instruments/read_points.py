@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.data.actuators import check_calibration, read_actuators
+from bayescal.data.actuators import Columns, check_calibration, read_actuators
 from bayescal.data.instruments.read_poses import (
     OTHER_COLUMNS,
     QUATERNION,
@@ -68,14 +68,14 @@ class Stations:
 
 
 def read_points(
-    path: Path, probe: Path, stations: Path | None, actuators: Path, noise: PointNoise, n_legs: int
+    path: Path, probe: Path, stations: Path | None, actuators: Path, noise: PointNoise, columns: Columns
 ) -> tuple[TrackedPoints, PoseRecords]:
-    """Return tracked points, and when they were taken.
+    """Return tracked points, and when they were taken, with actuator positions of these columns.
 
     InputError for unknown columns, poses, stations or points, points that stand twice, a pose without any, a covariance
     that is not positive, noise that is stated twice or not at all.
     """
-    names, verification, positions = read_actuators(actuators, n_legs)
+    names, verification, positions = read_actuators(actuators, columns)
     check_calibration(actuators, verification)
     points, places = read_probe(probe)
     standing = read_stations(stations)

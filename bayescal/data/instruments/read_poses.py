@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.data.actuators import check_calibration, name_actuators, read_actuators, read_uses
+from bayescal.data.actuators import Columns, check_calibration, read_actuators, read_positions, read_uses
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
@@ -38,36 +38,39 @@ ASYMMETRY = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PoseRecords:
-    """When readings were taken: names of P poses, which are for verification (P,), actuator positions (P, N), mm."""
+    """When readings were taken: names of P poses, which are for verification (P,), actuator positions (P, N)."""
 
     names: tuple[str, ...]
     verification: np.ndarray
     actuators: Array
 
 
-def read_taken(table: CsvTable, path: Path | None, n_legs: int) -> PoseRecords:
+def read_taken(table: CsvTable, path: Path | None, columns: Columns) -> PoseRecords:
     """Return the poses of a table that has a row for each, with actuator positions from it or from a table beside it.
+
+    Without columns of actuators there are none.
 
     InputError for a pose that stands in one table only or twice, two tables with actuator positions or uses that
     differ, or none.
     """
     names = table.text("pose")
     table.check_unique([(name,) for name in names], "pose")
-    columns = name_actuators(n_legs)
-    own = table.has(columns)
+    listed = list(columns)
+    own = table.has(listed)
     if own and path is not None:
         raise InputError(f"{table.path}: found actuator positions also in {path}, expected them once")
-    if not own and path is None:
+    if listed and not own and path is None:
         raise InputError(
-            f"{table.path}: found no columns {columns[0]} to {columns[-1]}, expected them, or data.actuators"
+            f"{table.path}: found no columns {listed[0]} to {listed[-1]}, expected them, or data.actuators"
         )
     uses = read_uses(table) if "use" in table.columns else None
     if path is None:
-        if uses is None:
+        if uses is None and listed:
             raise InputError(f"{table.path}: found no column 'use' with the actuator positions, expected one")
+        uses = np.zeros(len(names), dtype=bool) if uses is None else uses
         check_calibration(table.path, uses)
-        return PoseRecords(tuple(names), uses, table.numbers(columns))
-    known, verification, positions = read_actuators(path, n_legs)
+        return PoseRecords(tuple(names), uses, read_positions(table, columns))
+    known, verification, positions = read_actuators(path, columns)
     check_same_poses(table, names, known, path)
     places = {name: k for k, name in enumerate(known)}
     order = [places[name] for name in names]
@@ -149,14 +152,14 @@ def check_positive(table: CsvTable, covariance: Array, measured: np.ndarray) -> 
 def choose_noise(path: Path, in_table: bool, in_config: bool, columns: str, keys: str) -> None:
     """Raise InputError where the noise is stated neither in the table nor in the config, or in both."""
     if in_table and in_config:
-        raise InputError(f"{path}: found noise columns and {keys} in [data], expected either")
+        raise InputError(f"{path}: found noise columns and {keys} in [[data]], expected either")
     if not in_table and not in_config:
         raise InputError(describe_no_noise(path, columns, keys))
 
 
 def describe_no_noise(path: Path, columns: str, keys: str) -> str:
     """Return that the noise is stated neither in a table nor in the config."""
-    return f"{path}: found no noise, expected columns {columns}, or {keys} in [data]"
+    return f"{path}: found no noise, expected columns {columns}, or {keys} in [[data]]"
 
 
 VECTOR = ("rx_deg", "ry_deg", "rz_deg")
@@ -253,26 +256,28 @@ class PoseNoise:
         return self.position_um is not None or self.orientation_arcsec is not None
 
 
-def read_poses(path: Path, actuators: Path | None, noise: PoseNoise, n_legs: int) -> tuple[TrackedPoses, PoseRecords]:
-    """Return measured poses, and when they were taken.
+def read_poses(
+    path: Path, actuators: Path | None, noise: PoseNoise, columns: Columns
+) -> tuple[TrackedPoses, PoseRecords]:
+    """Return measured poses, and when they were taken, with actuator positions of these columns.
 
     InputError for unknown columns, a pose without any coordinate, a covariance that is not positive, noise that is
     stated twice or not at all, and what `read_taken` refuses.
     """
-    table = _read_columns(path, name_actuators(n_legs))
-    taken = read_taken(table, actuators, n_legs)
+    table = _read_columns(path, columns)
+    taken = read_taken(table, actuators, columns)
     values = _read_values(table)
     covariance = read_noise(table, noise, np.isfinite(values))
     check_positive(table, covariance, np.isfinite(values))
     return TrackedPoses(taken.names, taken.actuators, values, covariance * np.outer(UNITS, UNITS)), taken
 
 
-def _read_columns(path: Path, actuators: tuple[str, ...]) -> CsvTable:
+def _read_columns(path: Path, actuators: Columns) -> CsvTable:
     upper, lower = name_covariances(POSE)
     return read_table(path, ("pose",), ("use", *VALUES, *DEVIATIONS, *upper, *lower, *actuators, *OTHER_COLUMNS))
 
 
-def check_pose_table(path: Path, noise: PoseNoise, actuators: tuple[str, ...]) -> None:
+def check_pose_table(path: Path, noise: PoseNoise, actuators: Columns) -> None:
     """Raise InputError for a table of poses that is none by itself, with all that is wrong with values and noise."""
     try:
         table = _read_columns(path, actuators)

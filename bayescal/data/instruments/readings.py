@@ -23,7 +23,6 @@ import numpy as np
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.rigid_fit import is_collinear, weighted_rigid_transform
 from bayescal.errors import InputError
-from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import (
     DEGREES_OF_FREEDOM,
@@ -233,16 +232,16 @@ LENGTHS = {1e3: "metres", 1e-3: "micrometres", 25.4: "inches"}
 ANGLES = {180.0 / np.pi: "radians", np.pi / 180.0: "sixtieths of degrees"}
 
 
-def check_units(machine: Machine, instrument: TrackedReadings, path: Path) -> None:
-    """Raise InputError where another unit explains readings that the nominal machine does not."""
-    standing = machine.mechanism.place_actuators(instrument.actuators)
-    found = solve_forward_kinematics(machine, machine.layout.nominal, standing, check=False)
+def check_units(expected: Array, instrument: TrackedReadings, path: Path) -> None:
+    """Raise InputError where another unit explains readings that the nominal machine's poses (P, 6) do not.
+
+    Position and rotation vector of its tool, mm and rad; NaN where it cannot stand.
+    """
     if isinstance(instrument, TrackedPoses):
-        turn = rotation_vector_from_matrix(found.rotation)
-        _compare(instrument.values[:, :3], found.position, LENGTHS, "positions", "mm", path)
-        _compare(instrument.values[:, 3:], turn, ANGLES, "rotation vectors", "degrees", path)
+        _compare(instrument.values[:, :3], expected[:, :3], LENGTHS, "positions", "mm", path)
+        _compare(instrument.values[:, 3:], expected[:, 3:], ANGLES, "rotation vectors", "degrees", path)
     elif isinstance(instrument, TrackedPoints):
-        points = found.position[:, None] + np.einsum("pij,qj->pqi", found.rotation, instrument.probe)
+        points = _move(instrument.probe, expected)
         expected = np.broadcast_to(points[:, None], instrument.values.shape)
         flat = instrument.values.reshape(len(points), -1), expected.reshape(len(points), -1)
         _compare(*flat, LENGTHS, "points", "mm", path)
@@ -250,7 +249,7 @@ def check_units(machine: Machine, instrument: TrackedReadings, path: Path) -> No
 
 def _compare(found: Array, expected: Array, units: dict[float, str], what: str, unit: str, path: Path) -> None:
     """Compare changes from pose to pose, shapes (P, n), NaN where there is no reading; constant offsets are frames'."""
-    known = np.isfinite(found)
+    known = np.isfinite(found) & np.isfinite(expected)
     count = np.maximum(known.sum(axis=0), 1)
     centred = [np.where(known, x, 0.0) - np.where(known, x, 0.0).sum(axis=0) / count for x in (found, expected)]
     change, wanted = (np.where(known, x, 0.0) for x in centred)
@@ -262,15 +261,23 @@ def _compare(found: Array, expected: Array, units: dict[float, str], what: str, 
             raise InputError(f"{path}: found {what} that look like {word}, expected {unit}")
 
 
-def check_places(machine: Machine, readings: TrackedPoints, places: Array, path: Path) -> None:
-    """Raise InputError where points lie nowhere near where the nominal machine and stations (S, 3) have them."""
-    standing = machine.mechanism.place_actuators(readings.actuators)
-    found = solve_forward_kinematics(machine, machine.layout.nominal, standing, check=False)
-    points = found.position[:, None] + np.einsum("pij,qj->pqi", found.rotation, readings.probe)
+def _move(probe: Array, expected: Array) -> Array:
+    """Return points (Q, 3) of the tool at poses (P, 6), base frame, (P, Q, 3)."""
+    known = np.where(np.isfinite(expected), expected, 0.0)
+    points = known[:, None, :3] + np.einsum("pij,qj->pqi", matrix_from_rotation_vector(known[:, 3:]), probe)
+    return np.where(np.isfinite(expected).all(axis=1)[:, None, None], points, np.nan)
+
+
+def check_places(expected: Array, readings: TrackedPoints, places: Array, path: Path) -> None:
+    """Raise InputError where points lie nowhere near where nominal poses (P, 6) and stations (S, 3) have them."""
+    points = _move(readings.probe, expected)
     for s, name in enumerate(readings.stations):
         seen = readings.seen[:, s]
         if not seen.any():
             raise InputError(f"{path}: found no point of station {name!r}, expected one")
+        seen = seen & np.isfinite(points).all(axis=-1)
+        if not seen.any():
+            continue
         off = np.linalg.norm(readings.values[:, s] - points, axis=-1)[seen]
         away = np.linalg.norm(points - places[s], axis=-1)[seen]
         rms, distance = float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean(away**2)))

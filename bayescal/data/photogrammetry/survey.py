@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.data.actuators import check_calibration, read_actuators
+from bayescal.data.actuators import Columns, check_calibration, read_actuators
 from bayescal.data.photogrammetry.rigid_fit import is_collinear
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import CsvTable, read_table
@@ -47,14 +47,14 @@ class Survey:
     platform: BodyTargets
 
 
-def read_survey(targets: Path, actuators: Path, reference: Path, n_legs: int) -> Survey:
-    """Read and check a survey.
+def read_survey(targets: Path, actuators: Path, reference: Path, columns: Columns, n_legs: int | None = None) -> Survey:
+    """Read and check a survey, with actuator positions of these columns; pads are of N legs, by default a column each.
 
     InputError for unknown columns, numbers that are none or not finite, duplicate or missing poses and targets, targets
     without a reference, fewer than three or collinear rigid targets on a body, legs that do not exist.
     """
-    poses, verification, positions = read_actuators(actuators, n_legs)
-    known = read_reference(reference, n_legs)
+    poses, verification, positions = read_actuators(actuators, columns)
+    known = read_reference(reference, len(columns) if n_legs is None else n_legs)
     measured = _read_targets(read_table(targets, TARGET_COLUMNS), poses, known, actuators, reference)
     bodies = {}
     for body in BODIES:

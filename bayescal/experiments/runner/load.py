@@ -24,6 +24,7 @@ TITLES = {
     "CLAIMS": "Claims",
     "MACHINES": "Machines",
     "INSTRUMENTS": "Instruments",
+    "READERS": "Readers of data",
     "MODELS": "Kinematic models",
     "DEFORMATIONS": "Deformations",
     "ERRORS": "Reading errors",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -20,6 +20,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, check_measures, choose_variant, measure_variants
+from bayescal.experiments.shared.readings.data_schema import ReadingsTable
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
@@ -36,7 +37,6 @@ MOST_UNITS = 24
 """Scales that evidence is integrated over."""
 UNITS = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
 """What motions are told in, by the unit of what moves."""
-FILES = ("targets", "poses", "actuators", "reference")
 MAX_DRIFT_SCALES = 20.0
 """Prior scales of the drift, over the time that went by, that legs of one machine are never off."""
 WARM = 0.1
@@ -249,10 +249,9 @@ def measure_sessions(
     """Return what each session measured, instead of the data of a study; InputError names the session."""
     check_measures(experiment, study, path)
     found, name = list[MeasuredReadings](), choose_variant(config.variant, study, path)
-    place = _place_tables if getattr(study, "by_tables", False) else _place_files
     for session in config.sessions:
         with name_faults(f"session {session.label!r}"):
-            placed = place(study, session, folder, path) if hasattr(study, "data") else study
+            placed = _place_tables(study, session, folder, path) if hasattr(study, "data") else study
             measured = measure_variants(experiment, placed, path, [name])[name].count_by_row()
             errors = measured.posterior.errors
             if errors.outliers.expected:
@@ -287,32 +286,22 @@ def _join_functions(measured: list[MeasuredReadings]) -> list[MeasuredReadings]:
 
 
 def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:
-    """Return a calibration with a session's tables instead of its own, in their order."""
-    given = [key for key in FILES if getattr(session, key) is not None]
-    if given:
-        raise InputError(f"found {given[0]}, expected readings as in {path}")
-    if len(session.readings) != len(study.data):
-        raise InputError(f"found {len(session.readings)} files of readings, expected {len(study.data)} as in {path}")
-    tables = [
-        one.model_copy(update={"file": os.path.relpath(str(folder / name), str(path.parent)), "verification_poses": []})
-        for one, name in zip(study.data, session.readings, strict=True)
-    ]
+    """Return a study with a session's tables instead of its own, in their order."""
+    if len(session.data) != len(study.data):
+        raise InputError(f"data: found {len(session.data)} tables, expected {len(study.data)} as in {path}")
+    tables = []
+    for own, one in zip(study.data, session.data, strict=True):
+        named = one.model_dump(exclude_none=True)
+        for key in named:
+            if key not in type(own).model_fields:
+                raise InputError(f"data: found {key}, expected none for {own.kind} as in {path}")
+        moved: dict[str, Any] = {
+            key: os.path.relpath(str(folder / name), str(path.parent)) for key, name in named.items()
+        }
+        if isinstance(own, ReadingsTable):
+            moved["verification_poses"] = []
+        tables.append(own.model_copy(update=moved))
     return study.model_copy(update={"data": tables})
-
-
-def _place_files(study: Any, session: SessionConfig, folder: Path, path: Path) -> Any:
-    """Return the study with a session's files, whose names start at the study's folder then."""
-    data = study.data
-    named: Mapping[str, str] = {key: getattr(session, key) for key in FILES if getattr(session, key) is not None}
-    if session.readings:
-        raise InputError(f"found readings, expected {data.instrument} as in {path}")
-    if data.instrument not in named:
-        raise InputError(f"found no {data.instrument}, expected its file as in {path}")
-    for key in named:
-        if key not in type(data).model_fields:
-            raise InputError(f"found {key}, expected {data.instrument} alone as in {path}")
-    moved = {key: os.path.relpath(str(folder / name), str(path.parent)) for key, name in named.items()}
-    return study.model_copy(update={"data": data.model_copy(update=moved)})
 
 
 def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings], labels: Sequence[str]) -> None:

@@ -16,6 +16,21 @@ type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]
 type ExpansionSd = Annotated[FiniteFloat, Field(gt=0.0, le=1000.0)]
 
 
+class SessionTableConfig(Section):
+    """The files of a session's table, instead of those of the study's; what it does not name is the study's."""
+
+    file: InputFile
+    """File of the measurements."""
+    actuators: InputFile | None = None
+    """CSV file of actuator positions."""
+    reference: InputFile | None = None
+    """CSV file of the targets on their bodies."""
+    probe: InputFile | None = None
+    """CSV file of where points sit on the platform."""
+    stations: InputFile | None = None
+    """CSV file of where stations stand."""
+
+
 class SessionConfig(Section):
     """One session: what was measured, when, and how warm it was."""
 
@@ -23,16 +38,8 @@ class SessionConfig(Section):
     """Name of the session, or of the machine."""
     time_days: Number | None = None
     """Time of the session, counted from any day; a random walk needs it [d]."""
-    targets: InputFile | None = None
-    """CSV file of targets, for a study of targets."""
-    poses: InputFile | None = None
-    """CSV file of poses, for a study of poses."""
-    actuators: InputFile | None = None
-    """CSV file of actuator positions; the study's where nothing is said."""
-    reference: InputFile | None = None
-    """CSV file of the targets on their bodies; the study's where nothing is said."""
-    readings: list[InputFile] = Field(default=[], exclude_if=lambda value: not value)
-    """CSV files of readings, for a calibration: one for each of its `[[data]]`, in their order."""
+    data: Annotated[list[SessionTableConfig], Field(min_length=1)]
+    """Its tables, one for each `[[data]]` of the study, in their order."""
     temperature_celsius: Temperature | None = None
     """Temperature of the machine in the whole session [deg C]."""
     temperatures: InputFile | None = None

@@ -483,9 +483,8 @@ def _list_inputs(found: Certificate) -> tuple[Table, ...]:
         row = ("exported machine", "results not available")
         return (make_table("", columns, [row]),)
     config, known = provenance["config"], dict[str, Any]()
-    for name, section in (("", config.get("data", {})), *config.get("sensors", {}).items()):
-        pairs = section.items() if isinstance(section, dict) else ()
-        known |= {f"{name} {key}".strip(): value for key, value in pairs}
+    for name, section in (*(("", one) for one in config.get("data", [])), *config.get("sensors", {}).items()):
+        known |= {f"{name} {key}".strip(): value for key, value in section.items()}
     stated = [
         (f"{key[: -len(ending)].replace('_', ' ')}", f"{value:g} {unit}")
         for key, value in known.items()

@@ -483,7 +483,9 @@ def _say_frame(name: str, size: Array) -> str:
     said = [f"{format_significant(float(np.linalg.norm(size[:3])), 2)} mm"]
     if len(size) > 3:
         said.append(f"{np.degrees(np.linalg.norm(size[3:])):.2g}°")
-    return f"the poses seem to be in a {name} frame {' and '.join(said)} off: free [frames] {name}, or give it"
+    return (
+        f"the poses seem to be in a {name} frame {' and '.join(said)} off: free frames.{name} of its table, or give it"
+    )
 
 
 def _say_moving_frame(name: str, size: Array) -> str:

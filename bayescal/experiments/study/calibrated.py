@@ -34,7 +34,6 @@ from bayescal.experiments.shared.posterior_files import read_draws, read_functio
 from bayescal.experiments.shared.readings.found_frames import FoundFrames, list_unstated, settle_unstated
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_instruments, read_model
-from bayescal.experiments.shared.readings.measurement import state_noise
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
@@ -59,7 +58,7 @@ def list_machine_files(inputs: StudyInputs) -> dict[str, str | Writer]:
     """Return the files that a study's results hold of its machines, and the commands of its poses, by name."""
     found: dict[str, str | Writer] = {name: partial(_write, one) for name, one in inputs.files.items()}
     found |= {_name_commands(one.name): _format_commands(one) for one in inputs.variants.values()}
-    seen = inputs.seen
+    seen = inputs.pads
     if seen is not None and seen.pads is not None and seen.needs_matrix:  # K and the covariance of its rows, measured
         found[MATRIX] = format_matrix(seen.pads.matrix.matrix)
         found[MATRIX_COVARIANCE] = format_matrix_covariance(seen.pads.matrix.by_row)
@@ -171,12 +170,13 @@ def calibrate_machine(
     covariance = None
     if chosen.model is None:
         model = read_kept(path, results.hashes).with_optional(config.parameters)
-    elif experiment is not None and not config.by_tables:
+    elif experiment is not None and chosen.deformation == "matrix" and config.deformation.matrix == "targets":
         inputs = StudyInputs.load(config, folder)
-        whole, pads = as_legs(inputs.variants[chosen.name].whole), None if inputs.seen is None else inputs.seen.pads
+        whole, pads = as_legs(inputs.variants[chosen.name].whole), inputs.pads
         assert whole is not None
-        model = Legs(whole.machine, has_gains=whole.has_gains)
-        covariance = None if pads is None else pads.matrix.by_row
+        assert pads is not None
+        assert pads.pads is not None
+        model, covariance = Legs(whole.machine, has_gains=whole.has_gains), pads.pads.matrix.by_row
     else:
         for what, name in zip(("MODELS", "DEFORMATIONS"), chosen.seen, strict=True):
             if name not in list_references(what):
@@ -192,7 +192,7 @@ def calibrate_machine(
     if with_instruments and config.instruments:
         config, chosen, model = _keep_instruments(results, config, chosen, model, folder)
     else:
-        config, chosen = leave_instruments(state_noise(config), chosen, model)
+        config, chosen = leave_instruments(config, chosen, model)
     fit = results.summary["variants"][chosen.name]
     theta, draws = _read_posterior(results, config, chosen, model, solution)
     commands, given = _read_commands(kept, chosen.name, model)

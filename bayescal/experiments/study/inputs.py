@@ -133,7 +133,7 @@ class StudyInputs(ReadingInputs):
                 one.region.high,
                 one.internal,
                 int(one.verification.sum()),
-                {} if self.seen is None else self.seen.measured.described,
+                self.described,
                 one.aligned,
                 tuple(self.config.ignored_data_errors),
             )

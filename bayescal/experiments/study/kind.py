@@ -56,7 +56,7 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine and each table by itself."""
-        return [] if isinstance(content.get("data"), list) else list_file_faults(content, folder)
+        return list_file_faults(content, folder)
 
     def estimate_memory(self, inputs: StudyInputs) -> MemoryEstimate:
         """Return what the posteriors take."""
@@ -161,11 +161,9 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
 def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
     """Return what makes two data sets the same: contents of the files and what is assumed of the noise."""
     config, files = provenance["config"], provenance["files"]
-    data = config["data"]
-    entries = data if isinstance(data, list) else [data]
     found = {
         f"{key} {k}" if k else key: files.get(value, value) if isinstance(value, str) else value
-        for k, one in enumerate(entries)
+        for k, one in enumerate(config["data"])
         for key, value in one.items()
     }
     return found | {f"noise of {name}": one for name, one in config.get("sensors", {}).items()}

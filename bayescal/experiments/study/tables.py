@@ -21,8 +21,8 @@ from bayescal.experiments.shared.headline import rank_evidence
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant
-from bayescal.experiments.shared.readings.instrument_poses import SeenLegs
 from bayescal.experiments.shared.readings.measurement import Measured
+from bayescal.experiments.shared.readings.pads import SeenPads
 from bayescal.experiments.shared.readings.schema import ProvenanceConfig
 from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.shared.study_schema import VariantConfig
@@ -337,7 +337,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
 def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
     """Return joints, flexures, and what targets on pads show of the platform, of a machine on legs."""
     first = next(iter(inputs.variants.values()))
-    legs, seen = as_legs(first.whole), inputs.seen
+    legs, seen = as_legs(first.whole), inputs.pads
     if legs is None:
         return {}
     rho = [k for k, one in enumerate(first.model.channels) if one.kind == "rho"]
@@ -355,7 +355,7 @@ def describe_legs(inputs: ReadingInputs) -> dict[str, Any]:
     every = {name: as_legs(one.whole) for name, one in inputs.variants.items()}
     seen = {one.name: one for one in inputs.config.variants if one.model is not None}
     if not seen:
-        return {} if inputs.seen is None else dict(inputs.seen.measured.described)
+        return inputs.described
     machines = {name: one.machine for name, one in every.items() if one is not None}
     named = {
         name: dict(zip(("model", "deformation"), map(label_class, one.seen), strict=True))
@@ -372,7 +372,7 @@ def describe_legs(inputs: ReadingInputs) -> dict[str, Any]:
     return {
         "models": {label_class(one.seen[0]): machines[name].model.title for name, one in seen.items()},
         "drive": next(iter(machines.values())).mechanism.drive,
-        **({} if inputs.seen is None else inputs.seen.measured.described),
+        **inputs.described,
         **{key: value for key, value in optional.items() if value},
     }
 
@@ -418,7 +418,7 @@ def tabulate_flexure(mechanism: Mechanism) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def _tabulate_deflections(seen: SeenLegs) -> pd.DataFrame:
+def _tabulate_deflections(seen: SeenPads) -> pd.DataFrame:
     """Return the measured deflection of every joint at every pose, µm, with its standard deviation."""
     assert seen.pads is not None
     deflection, verification = seen.pads.deflection, seen.measured.verification
@@ -434,7 +434,7 @@ def _tabulate_deflections(seen: SeenLegs) -> pd.DataFrame:
     )
 
 
-def _tabulate_deformation(seen: SeenLegs) -> pd.DataFrame:
+def _tabulate_deformation(seen: SeenPads) -> pd.DataFrame:
     """Return κ and K from the targets with posterior standard deviations, in 1e-3."""
     assert seen.pads is not None
     n, matrix, kappa = seen.mechanism.n_legs, seen.pads.matrix, seen.pads.kappa

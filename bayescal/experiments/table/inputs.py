@@ -98,8 +98,6 @@ def _read_study(config: TableConfig, path: Path) -> ReadingInputs:
     _, found = load(path)
     if not isinstance(found, StudyConfig):
         raise InputError(f"{path}: kind: found {found.kind!r}, expected 'study'")
-    if not found.by_tables:
-        raise InputError(f"{path}: data: found an instrument's poses: all places have one correction")
     return read_inputs(found, path.parent, [choose_variant(config.variant, found, path)])
 
 

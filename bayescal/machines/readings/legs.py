@@ -365,7 +365,8 @@ class Legs(ReadingModel):
 
         Where errors hide joints, lengths follow these so that the legs close at home.
         """
-        straight, machine, home = replace(known, legs=compute_leg_lines(self.machine)), self.machine, self.home_pose
+        machine, home = self.machine, self.home_pose
+        straight = replace(known, legs=compute_leg_lines(machine), symbols=self.layout.symbols)
         if not hidden:
             return straight
         start, turn = machine.mechanism.initial_actuator_positions, matrix_from_rotation_vector(home[None, 3:])

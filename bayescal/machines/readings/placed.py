@@ -342,7 +342,10 @@ class InstrumentedMachine(ReadingModel):
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
         """The machine's channels, then those of each instrument."""
-        return (*self.whole.channels, *(_rename(one.name, seen) for one in self.instruments for seen in one.channels))
+        return (
+            *self.whole.channels,
+            *(rename_channel(one.name, seen) for one in self.instruments for seen in one.channels),
+        )
 
     def pick(self, channels: np.ndarray) -> InstrumentedMachine:
         """Return the same machine with some of its channels, in their order; a part computes no more than its own."""
@@ -529,7 +532,17 @@ class _BoundPlaced(BoundReadings):
         return np.concatenate([self.bound.follow(step), change])
 
 
-def _rename(name: str, channel: Channel) -> Channel:
+def locate_tool(machine: ReadingModel, commands: Array) -> Array:
+    """Return position and rotation vector (P, 6) of the nominal machine's tool at commands (P, C), base frame.
+
+    NaN where it cannot stand; a rotation that the machine does not tell is zero.
+    """
+    theta = machine.layout.nominal
+    pose, _ = machine.locate(theta, commands)
+    return InstrumentedMachine(machine, ())._place_tool(machine.tool_values(theta, pose), pose)
+
+
+def rename_channel(name: str, channel: Channel) -> Channel:
     """Return a channel of an instrument as the machine before it has it."""
     own = channel.name
     return replace(

@@ -62,19 +62,24 @@ class Tracker(Instrument):
         Their names.
     seen : sequence of (int, ndarray or None)
         The station, and the point (3,) on the platform that it sees, mm; None for a pose.
+    turned : bool
+        Whether the machine says how its tool is turned; otherwise the tool's centre is all that is seen, and the tool
+        has no frame.
     """
 
-    def __init__(self, stations: Sequence[str], seen: Sequence[tuple[int, Array | None]]) -> None:
+    def __init__(self, stations: Sequence[str], seen: Sequence[tuple[int, Array | None]], turned: bool = True) -> None:
         """Lay out frames and channels."""
         super().__init__(None)
-        self._seen = list(seen)
+        self._seen, self._turned = list(seen), turned
         self._frames = [frame_symbols(name) for name in name_frames(len(stations))]
         self.parameters = list(frame_blocks(len(stations)))
+        if not turned:
+            self.parameters = self.parameters[:-6]
         self.channels = []
         for k, (_, point) in enumerate(self._seen):
             name = f"seen{k + 1}" if len(self._seen) > 1 else "seen"
             self.channels += [Channel(f"{name}[{axis}]", "mm") for axis in AXES]
-            if point is None:
+            if point is None and turned:
                 self.channels += [Channel(f"{name}_r[{axis}]", "rad", rotation=f"{name}_r") for axis in AXES]
 
     def _frame(self, parameters: Parameters, k: int) -> tuple[Any, Any]:
@@ -85,6 +90,10 @@ class Tracker(Instrument):
 
     def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
         """Return what each station sees, in the order of the channels."""
+        if not self._turned:
+            places = [self._frame(parameters, station) for station, _ in self._seen]
+            parts = [place + turn(frame, position) for place, frame in places]
+            return np.concatenate(np.broadcast_arrays(*parts), axis=-1)
         offset, own = self._frame(parameters, -1)
         tool, turned, found = position + turn(rotation, offset), rotation @ own, []
         for station, point in self._seen:
@@ -97,6 +106,8 @@ class Tracker(Instrument):
         self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
     ) -> Sequence[Mapping[str, Array]]:
         """Return frames of the stations that fit best beside the stated tool's, and those of A X = Z B."""
+        if not self._turned:
+            return [{}]
         offset, own = (np.concatenate([stated[one] for one in some]) for some in self._frames[-1])
         tool, turned = position + turn(rotation, offset), rotation @ matrix_from_rotation_vector(own)
         ends = np.cumsum([6 if point is None else 3 for _, point in self._seen])

@@ -14,7 +14,7 @@ from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.errors import InputError
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.readings.errors import drop_model_error
-from bayescal.experiments.shared.readings.instrument_poses import SeenLegs
+from bayescal.experiments.shared.readings.pads import SeenPads
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.rows import ClaimRow
 from bayescal.files.csv_tables import read_matrix
@@ -82,7 +82,7 @@ class ClaimEvidence:
 
         The report has one free set for each model and deformation: variants with names of their own are none of its.
         """
-        config, seen = inputs.config, inputs.seen
+        config, seen = inputs.config, inputs.pads
         assert seen is not None
         assert seen.measured.targets is not None
         own = {name: one for name, one in inputs.variants.items() if not one.config.has_own_name}
@@ -92,7 +92,7 @@ class ClaimEvidence:
             poses=seen.measured.poses.select(~seen.measured.verification),
             all_poses=seen.measured.poses,
             target_noise=seen.measured.targets.noise,
-            actuator_noise=config.measured.actuator_noise_um * MICROMETRE,
+            actuator_noise=float(np.max(config.sensors["rho"].noise_um or 0.0)) * MICROMETRE,
             origin=name_origin(config.provenance.model_dump()),
             free={name: list_free(one) for name, one in own.items()},
             fits={name: fit for name, fit in fits.items() if name in own},
@@ -187,7 +187,7 @@ def name_of(machine: Machine) -> str:
     return f"{machine.model.name}/{machine.deformation.name}"
 
 
-def _find_matrix(inputs: StudyInputs, seen: SeenLegs) -> Array:
+def _find_matrix(inputs: StudyInputs, seen: SeenPads) -> Array:
     """Return K in mm per mm, from the targets on the pads or from a file."""
     if seen.from_targets:
         return seen.find_matrix()

@@ -37,8 +37,8 @@ def list_free(variant: Variant) -> tuple[str, ...]:
 
 def identify_variants(inputs: StudyInputs) -> dict[str, LeastSquaresFit]:
     """Return the least-squares identification of every variant by its name, from the calibration poses."""
-    assert inputs.seen is not None
-    poses = inputs.seen.measured.poses.select(~inputs.seen.measured.verification)
+    assert inputs.pads is not None
+    poses = inputs.pads.measured.poses.select(~inputs.pads.measured.verification)
     return {
         name: identify(machine_of(variant), poses, list_free(variant))
         for name, variant in inputs.variants.items()
@@ -51,8 +51,8 @@ def read_tables(inputs: StudyInputs) -> dict[str, dict[tuple[str, int], float]]:
     What is identified depends on what is free with it: along a ridge that the report does not have its values say
     nothing. Nor do they of variants with names of their own, or of another number of legs.
     """
-    assert inputs.seen is not None
-    if inputs.seen.mechanism.n_legs != N_LEGS:
+    assert inputs.pads is not None
+    if inputs.pads.mechanism.n_legs != N_LEGS:
         return {}
     return {
         name: read_published(FILES[name])

@@ -186,7 +186,7 @@ def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):
     config = studies.write_tiny_study(tmp_path)
     studies.edit(config, "target_noise_um = 3.0", 'target_noise_um = 3.0\npose_estimator = "least_squares"')
     robust = studies.write_tiny_study(tmp_path / "robust")
-    plain, other = (studies.load_study(one).seen.measured.poses for one in (config, robust))
+    plain, other = (studies.load_study(one).measured[0].poses for one in (config, robust))
     sd = np.sqrt(np.diagonal(plain.covariance, axis1=1, axis2=2))[:, :3]
     assert (np.abs(plain.position - other.position) < 2.0 * sd).all()
     assert (sd < np.sqrt(np.diagonal(other.covariance, axis1=1, axis2=2))[:, :3]).all()

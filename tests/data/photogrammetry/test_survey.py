@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import studies
 
+from bayescal.data.actuators import name_actuators
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import Survey, read_survey
 from bayescal.errors import BayescalError, InputError
@@ -28,7 +29,7 @@ def folder(tmp_path) -> Path:
 
 
 def read(folder: Path) -> Survey:
-    return read_survey(*(folder / name for name in FILES), 6)
+    return read_survey(*(folder / name for name in FILES), name_actuators(6))
 
 
 def fail(folder: Path, name: str) -> str:
@@ -182,7 +183,7 @@ def test_one_wrong_target_is_rejected_and_named(folder):
         folder / FILES[0], lambda row: [*row[:5], str(float(row[5]) + 5)] if row[:3] == ["C02", "base", "B04"] else row
     )
     inputs = studies.load_study(folder / "study.toml")
-    assert ("C02", "base", "B04") in inputs.seen.measured.targets.extraction.rejected
+    assert ("C02", "base", "B04") in inputs.measured[0].targets.extraction.rejected
 
 
 # --- what is no fault ------------------------------------------------------------------------------------------------
@@ -199,7 +200,7 @@ def test_single_missing_targets_are_nan_and_no_fault(folder):
     }
     assert unseen == missing
     assert np.isfinite(extract_poses(survey, 3e-3).poses.covariance).all()
-    assert studies.load_study(folder / "study.toml").seen.pads is not None
+    assert studies.load_study(folder / "study.toml").pads.pads is not None
 
 
 @pytest.mark.parametrize(

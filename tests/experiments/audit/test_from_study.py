@@ -61,7 +61,7 @@ def _draw(path):
 
 def test_machine_tolerances_and_poses_are_the_studys(design):
     plan, study = _read(design), studies.load_study(design.parent / "tiny" / "study.toml")
-    poses, data, model = study.seen.measured.poses.select(~study.verification), plan.variant.data, plan.variant.model
+    poses, data, model = study.measured[0].poses.select(~study.verification), plan.variant.data, plan.variant.model
     assert set(plan.symbols) == {"l", "kappa"}
     expected = {"l": 2.0, "kappa": 0.01}
     assert np.allclose(plan.sd, [expected[symbol] for symbol in plan.symbols])
@@ -70,7 +70,7 @@ def test_machine_tolerances_and_poses_are_the_studys(design):
     seen = np.array([one.external for one in model.channels])
     covariance = data.correlation * data.sd[:, :, None] * data.sd[:, None]
     assert np.allclose(covariance[:, seen][:, :, seen], poses.covariance, rtol=1e-9, atol=1e-18)
-    assert plan.maker.model.name == study.seen.mechanism.name
+    assert plan.maker.model.name == study.pads.mechanism.name
 
 
 def test_derivatives_are_taken_at_the_posterior_mean(design):
@@ -86,11 +86,11 @@ def test_derivatives_are_taken_at_the_posterior_mean(design):
 def test_noise_is_that_of_model_error_and_measured_matrix(design):
     plan, draws = _draw(design)
     study = studies.load_study(design.parent / "tiny" / "study.toml")
-    own, n = plan.variant.internal, study.seen.mechanism.n_legs
-    travel = study.seen.displacement[~study.verification]
+    own, n = plan.variant.internal, study.pads.mechanism.n_legs
+    travel = study.pads.displacement[~study.verification]
     by_entry = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
     by_entry = by_entry.reshape(len(travel), n, n * n)
-    left = np.einsum("pia,ab,pib->pi", by_entry, study.seen.pads.matrix.covariance, by_entry)
+    left = np.einsum("pia,ab,pib->pi", by_entry, study.pads.pads.matrix.covariance, by_entry)
     # but for how far legs lean, which deflections along the platform's normal do not
     assert np.allclose(plan.variant.data.sd[:, own] ** 2, 1e-6 + left, rtol=0.06, atol=1e-9)
     tau = plan.maker.found.posterior.errors.natural(draws.zeta)

@@ -103,7 +103,7 @@ def write_readings(poses):
 @pytest.fixture(scope="module", params=["legs", "class"])
 def general(request, study, tmp_path_factory):
     """Return the posterior of the same data by the general route."""
-    folder, mechanism = tmp_path_factory.mktemp(request.param), study.seen.mechanism
+    folder, mechanism = tmp_path_factory.mktemp(request.param), study.pads.mechanism
     legs = [f'"rho[{k}]" = {{ noise_um = 1.0, noise_group = "leg_{k}" }}' for k in range(1, 7)]
     text = CONFIG.format(
         legs="\n".join(legs),
@@ -111,7 +111,7 @@ def general(request, study, tmp_path_factory):
         errors="\n".join(f"leg_{k} = {{ scale = 0.01 }}" for k in range(1, 7)),
     )
     (folder / "study.toml").write_text(text)
-    (folder / "readings.csv").write_text(write_readings(study.seen.measured.poses.select(~study.verification)))
+    (folder / "readings.csv").write_text(write_readings(study.measured[0].poses.select(~study.verification)))
     (folder / "machine.toml").write_text(LEGS if request.param == "legs" else OWN)
     (folder / "mechanism.toml").write_text(MECHANISM.read_text())
     known = {

@@ -135,13 +135,15 @@ machine = "machine.toml"
 status = "simulated"
 text = "Simulated"
 
-[data]
-instrument = "poses"
-poses = "data/readings.csv"
+[[data]]
+kind = "poses"
+file = "data/readings.csv"
 actuators = "data/readings.csv"
-actuator_noise_um = 1.0
 position_um = 10.0
 orientation_arcsec = 10.0
+
+[sensors]
+rho = { noise_um = 1.0 }
 
 [deformation]
 kappa = 0.0
@@ -160,10 +162,10 @@ free = ["l"]
 """
 
 
-def test_an_instrument_for_poses_on_a_machine_without_a_platform(tmp_path, refuse):
+def test_a_model_of_legs_for_another_machine(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path).parent / "legs.toml"
     path.write_text(STUDY_OF_POSES)
-    refuse(path, "machine.toml: kind: found 'linear_delta.py:LinearDelta',")
+    refuse(path, "model: found 'six_pus', expected none for")
 
 
 def test_a_second_reading_of_the_same_pose(tmp_path, refuse):

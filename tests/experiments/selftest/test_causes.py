@@ -155,7 +155,7 @@ def test_a_cause_has_its_gain_and_an_action(subjects):
     search = search_cause(measured.readings)
     (finding,) = state_cause(search)
     assert (finding.fault, finding.level, finding.value) == ("frame", "bad", search.first.gain)
-    assert "[frames] base" in finding.action
+    assert "frames.base" in finding.action
 
 
 def test_a_hopeless_search_stops_and_says_what_it_tried(subjects, monkeypatch):

@@ -114,7 +114,10 @@ FAULTS_OF_LEGS = {
     "twice": (edit('label = "S2"', 'label = "S1"'), "found 'S1' twice"),
     "variant": (edit("six_pus/none", "six_pus/linear"), "variant: found 'six_pus/linear', expected"),
     "symbol": (edit('symbols = ["l"]', 'symbols = ["a_x"]'), "found 'a_x', expected one of l"),
-    "instrument": (edit('targets = "data/2', 'poses = "data/2'), "session 'S2': found no targets"),
+    "instrument": (
+        edit('actuators = "data/2', 'probe = "data/2'),
+        "session 'S2': data: found probe, expected none for",
+    ),
     "uniform": (
         edit('{ prior = "normal", sd = 2.0 }', '{ prior = "uniform", half_width = 2.0 }', "study.toml"),
         "found a uniform prior of l",
@@ -122,8 +125,11 @@ FAULTS_OF_LEGS = {
 }
 FAULTS_OF_CHANNELS = {
     "missing": (edit("month_2.csv", "month_7.csv"), r"month_7\.csv: no such file"),
-    "no readings": (edit('readings = ["month_2.csv"]\n', ""), "session 'M2': found 0 files of readings, expected 1"),
-    "of legs": (edit('readings = ["month_2.csv"]', 'poses = "month_2.csv"'), "found poses, expected readings"),
+    "no readings": (edit('data = [{ file = "month_2.csv" }]\n', ""), "sessions.1.data: missing"),
+    "of legs": (
+        edit('"month_2.csv" }', '"month_2.csv", actuators = "a.csv" }'),
+        "data: found actuators, expected none for readings",
+    ),
     "copied": (edit("month_2.csv", "month_1.csv"), "session 'M2': found the readings of 'M1'"),
     "slipped": (exchange, r"session 'M2': .*readings of s\[1\] and s\[2\] seem to be exchanged"),
     "symbol": (edit('symbols = ["s0"]', 'symbols = ["q"]'), "drift.symbols: found 'q', expected one of x, y, l, s0"),

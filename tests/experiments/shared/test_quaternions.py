@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from bayescal.calibrated.tables import list_columns, read_quantities
 from bayescal.data.instruments.read_points import read_stations
 from bayescal.errors import InputError
+from bayescal.experiments.shared.readings.data_schema import ReadingsDataConfig
 from bayescal.experiments.shared.readings.reading_tables import read_tables
-from bayescal.experiments.shared.readings.schema import DataTableConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import POSE_CHANNELS
@@ -34,16 +34,16 @@ def write(path, prefix="", scale=1.0, key="pose", more="", cells=""):
 )
 def test_readings(tmp_path, channels, prefix):
     write(tmp_path / "r.csv", prefix)
-    read = read_tables([DataTableConfig(file="r.csv")], tmp_path, channels, ())
+    read = read_tables([ReadingsDataConfig(file="r.csv")], tmp_path, channels, ())
     np.testing.assert_allclose(read.values[:, -3:], VECTORS, atol=1e-12)
     with pytest.raises(InputError, match=r"length 0\.5"):
-        read_tables([DataTableConfig(file=write(tmp_path / "s.csv", prefix, 0.5).name)], tmp_path, channels, ())
+        read_tables([ReadingsDataConfig(file=write(tmp_path / "s.csv", prefix, 0.5).name)], tmp_path, channels, ())
 
 
 def test_readings_in_two_forms_are_refused(tmp_path):
     write(tmp_path / "r.csv", "cam_", more="cam_r_x_deg,", cells="1.0,")
     with pytest.raises(InputError, match="one rotation form"):
-        read_tables([DataTableConfig(file="r.csv")], tmp_path, CAMERA, ())
+        read_tables([ReadingsDataConfig(file="r.csv")], tmp_path, CAMERA, ())
 
 
 def test_stations(tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import studies
 from scipy import stats
 
+from bayescal.data.actuators import name_actuators
 from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError
@@ -37,7 +38,7 @@ def load_twin(path: Path) -> Twin:
 @pytest.fixture(scope="module")
 def shipped():
     """Return what was seen of the shipped telescope."""
-    return studies.load_study(studies.TELESCOPE / "study.toml").seen
+    return studies.load_study(studies.TELESCOPE / "study.toml").pads
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_files_and_back_recover_the_true_poses(config):
     survey = survey_twin(twin, np.random.default_rng(3))[0]
     for name, text in format_survey(survey, "test").items():
         (config.parent / name).write_text(text)
-    read = read_survey(*(config.parent / name for name in FILES), 6)
+    read = read_survey(*(config.parent / name for name in FILES), name_actuators(6))
     found = extract_poses(read, 3e-3).poses
     truth = solve_forward_kinematics(twin.machine, twin.theta, read.actuators)
     turn = rotation_vector_from_matrix(found.rotation @ np.swapaxes(truth.rotation, -1, -2))
@@ -83,7 +84,7 @@ def test_round_trip_through_text_keeps_every_digit(config):
     texts = format_survey(survey, "test")
     for name, text in texts.items():
         (config.parent / name).write_text(text)
-    read = read_survey(*(config.parent / name for name in FILES), 6)
+    read = read_survey(*(config.parent / name for name in FILES), name_actuators(6))
     assert read.poses == survey.poses
     np.testing.assert_array_equal(read.verification, survey.verification)
     np.testing.assert_allclose(read.platform.measured, survey.platform.measured, atol=5.1e-7, rtol=0)

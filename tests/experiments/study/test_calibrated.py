@@ -11,6 +11,7 @@ import pytest
 import studies
 
 from bayescal.calibrated.predict import predict_poses
+from bayescal.data.actuators import name_actuators
 from bayescal.data.instruments.read_poses import PoseNoise, read_poses
 from bayescal.errors import InputError
 from bayescal.experiments.runner import run as frame
@@ -107,7 +108,7 @@ def test_every_command_takes_the_exported_mechanism(study, call):
     first, again = (studies.load_study(study / name) for name in ("study.toml", "again.toml"))
     errors = []
     for inputs in (first, again):
-        machine, poses = inputs.variants[VARIANT].whole.machine, inputs.seen.measured.poses.select(inputs.verification)
+        machine, poses = inputs.variants[VARIANT].whole.machine, inputs.measured[0].poses.select(inputs.verification)
         there = solve_forward_kinematics(machine, machine.layout.nominal, poses.actuators)
         errors.append(np.abs(there.position - poses.position).max())
     assert errors[1] < 0.05 < errors[0]  # mm: nominal against calibrated
@@ -138,7 +139,7 @@ def test_predicted_table_is_one_of_measured_poses(study, call):
     call("predict", "out", "actuators.csv", "--out", "poses.csv")
     lines = Path("actuators.csv").read_text().splitlines()
     Path("taken.csv").write_text("\n".join([f"use,{lines[0]}", *(f"calibration,{line}" for line in lines[1:])]) + "\n")
-    readings, _ = read_poses(Path("poses.csv"), Path("taken.csv"), PoseNoise(), 6)
+    readings, _ = read_poses(Path("poses.csv"), Path("taken.csv"), PoseNoise(), name_actuators(6))
     expected = predict_poses(load_calibrated(Path("out")), draw_actuators(4))
     np.testing.assert_allclose(readings.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(readings.values[:, :3], expected.position, rtol=0, atol=1e-8)

@@ -64,7 +64,7 @@ class Shipped:
         y = draw(posterior, seed)
         draws = posterior.natural(y)[:, : posterior.n_geometry]
         places = [self.twin.machine.layout.names.index(name) for name in posterior.sampling.names]
-        held = inputs.seen.measured.poses.actuators[inputs.verification]
+        held = inputs.measured[0].poses.actuators[inputs.verification]
         machine, some = inputs.variants[self.variant].whole.machine, y[:: len(y) // N_DRAWS][:N_DRAWS]
         position = np.array([solve_forward_kinematics(machine, t, held).position for t in posterior.theta(some)])
         error = position.mean(axis=0) - solve_forward_kinematics(self.twin.machine, theta, held).position

@@ -28,7 +28,7 @@ def write_silent(folder, instrument="targets"):
     if instrument == "positions":
         table = studies.feed_poses(folder / "study.toml")
         (folder / "data" / "poses.csv").write_text(leave_positions(table))
-        text = text.replace(studies.BY_TARGETS, studies.BY_POSES).replace("[parameters]\n", FRAMES + "[parameters]\n")
+        text = text.replace(studies.BY_TARGETS, studies.BY_POSES).replace("[sensors]\n", FRAMES + "[sensors]\n")
     config.write_text(text)
     assert first
     return config

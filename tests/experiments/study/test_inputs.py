@@ -67,7 +67,7 @@ def test_pad_that_was_not_seen_names_pose_and_leg(folder):
     change_targets(folder, lambda row: None if row[0] == "C03" and row[2].startswith("L2") else row)
     assert "pose 'C03': pad of leg 2: " in fail(folder, "data/targets.csv")
     leave_only_the_variant_none(folder)
-    assert studies.load_study(folder / "study.toml").seen.pads is None  # nobody asks for it
+    assert studies.load_study(folder / "study.toml").pads.pads is None  # nobody asks for it
 
 
 def test_poses_too_few_for_the_matrix(folder):
@@ -78,14 +78,14 @@ def test_poses_too_few_for_the_matrix(folder):
     change_targets(folder, lambda row: row if row[0] in kept else None)
     assert "found 5 poses of rank 5" in fail(folder, "data/targets.csv")
     leave_only_the_variant_none(folder)
-    assert studies.load_study(folder / "study.toml").seen.pads is None
+    assert studies.load_study(folder / "study.toml").pads.pads is None
 
 
 @pytest.mark.parametrize(
     ("name", "old", "new", "expected"),
     [
-        ("study.toml", "target_noise_um = 3.0", "target_noise_um = 1e-300", "data.target_noise_um: found 1e-300"),
-        ("study.toml", "actuator_noise_um = 1.0", "actuator_noise_um = 1e200", "data.actuator_noise_um: found 1e+200"),
+        ("study.toml", "target_noise_um = 3.0", "target_noise_um = 1e-300", "data.0.target_noise_um: found 1e-300"),
+        ("study.toml", "noise_um = 1.0", "noise_um = 1e200", "sensors.rho.noise_um: found 1e+200"),
         ("study.toml", "sd = 2.0", "sd = 1e300", "parameters.l.sd: found 1e+300"),
         (
             "study.toml",
@@ -176,7 +176,7 @@ def test_models_of_flexures_need_them(folder, model, section):
     path.write_text(path.read_text()[: path.read_text().index(f"[{section}]")])
     choose(folder, model)
     if section == "stiffness" and model == "beam":
-        assert studies.load_study(folder / "study.toml").seen.mechanism.flexures.section is None
+        assert studies.load_study(folder / "study.toml").pads.mechanism.flexures.section is None
     else:
         assert f"found no [{section}], expected" in fail(folder, "mechanism.toml")
 

@@ -19,9 +19,9 @@ from bayescal.machines.kinematics import solve_forward_kinematics
 
 pytestmark = pytest.mark.runs
 
-FRAMES = "[frames]\nbase = { position = 0.5, rotation = 0.05 }\ntool = { position = 0.5, rotation = 0.05 }\n\n"
-POINTS = """instrument = "points"
-points = "data/points.csv"
+FRAMES = "frames.base = { position = 0.5, rotation = 0.05 }\nframes.tool = { position = 0.5, rotation = 0.05 }\n\n"
+POINTS = """kind = "points"
+file = "data/points.csv"
 probe = "probe.csv"
 stations = "stations.csv"
 actuators = "data/actuators.csv"
@@ -79,7 +79,7 @@ def write_points(folder):
     (folder / "simulate.toml").write_text(text)
     made = compute_experiment(load_experiment(folder / "simulate.toml"), folder).files
     studies.write_texts(folder, {f"data/{name}": str(one) for name, one in made.items()})
-    text = config.read_text().replace(studies.BY_TARGETS, POINTS).replace("[parameters]\n", FRAMES + "[parameters]\n")
+    text = config.read_text().replace(studies.BY_TARGETS, POINTS).replace("[sensors]\n", FRAMES + "[sensors]\n")
     (folder / "points.toml").write_text(text)
     return folder / "points.toml"
 
@@ -109,7 +109,7 @@ def compare_modes(one, other):
 def test_poses_fed_back_are_the_targets(fed):
     """The digits of the table are all that is lost."""
     one, other = studies.load_study(fed / "study.toml"), studies.load_study(fed / "poses.toml")
-    poses, fed_back = one.seen.measured.poses, other.seen.measured.poses
+    poses, fed_back = one.measured[0].poses, other.measured[0].poses
     np.testing.assert_allclose(fed_back.position, poses.position, atol=1e-7)
     np.testing.assert_allclose(fed_back.covariance, poses.covariance, rtol=1e-5, atol=1e-16)
     for evidence, mean in compare_modes(one, other):
@@ -125,9 +125,9 @@ def test_poses_of_the_telescope_fed_back_give_its_evidence(tmp_path):
     studies.edit(config, 'published_claims = "claims.py:Rr8096"\n', "")
     (tmp_path / "data" / "poses.csv").write_text(studies.feed_poses(config))
     text = config.read_text().replace('matrix = "targets"', 'matrix = "unused.csv"')
-    for start in ("targets =", "reference =", "target_noise_um =", "pose_estimator ="):
+    for start in ('kind = "targets', "file =", "reference =", "target_noise_um =", "pose_estimator ="):
         text = re.sub(rf"^{start}.*\n", "", text, flags=re.MULTILINE)
-    text = text.replace("[data]\n", '[data]\ninstrument = "poses"\nposes = "data/poses.csv"\n')
+    text = text.replace("[[data]]\n", '[[data]]\nkind = "poses"\nfile = "data/poses.csv"\n')
     blocks = text.split("[[variants]]")
     kept = [b for b in blocks[1:] if '"matrix"' not in b and '"six_pus"' in b]
     tail = blocks[-1][blocks[-1].index("[sampler]") :]
@@ -163,7 +163,7 @@ def test_points_of_two_stations_find_the_machine_and_their_frames(pointed):
 def test_positions_alone_are_a_study_with_a_page(fed, tmp_path, call, no_pictures, search_little):
     (fed / "data" / "positions.csv").write_text(leave_positions((fed / "data" / "poses.csv").read_text()))
     text = (fed / "poses.toml").read_text().replace("poses.csv", "positions.csv")
-    text = text.replace("[parameters]\n", FRAMES + "[parameters]\n")
+    text = text.replace("[sensors]\n", FRAMES + "[sensors]\n")
     text = re.sub(r"kappa = \{.*\n", "", text)
     first = text.index("[[variants]]")
     second = text.index("[[variants]]", first + 1)
@@ -185,7 +185,7 @@ def test_the_truth_stands_beside_simulated_readings(pointed):
     parameters = read_table(folder / "data" / "true_parameters.csv", PARAMETER_COLUMNS)
     assert parameters.text("parameter") == list(twin.machine.layout.names)
     poses = read_table(folder / "data" / "true_poses.csv", ("pose", *POSE_COORDINATES))
-    seen = inputs.seen.measured.poses
+    seen = inputs.measured[0].poses
     assert poses.text("pose") == list(seen.names)
     commanded = solve_forward_kinematics(twin.machine, twin.theta, seen.actuators)
     off = np.abs(commanded.position - poses.numbers(POSE_COORDINATES[:3]))
@@ -264,20 +264,14 @@ FAULTS = {
         "another use": ("data/poses.csv", set_cell("C03,", "use", "verification"), "use: differs from"),
         "unknown pose": ("data/poses.csv", swap_column("C03,", "C99,"), "pose 'C99': not in"),
         "missing pose": ("data/poses.csv", lambda text: re.sub("\nC03,.*", "", text), "found nothing of pose 'C03'"),
-        "beside targets": (
-            "poses.toml",
-            swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\ntargets = "data/targets.csv"'),
-            "found a table of targets beside instrument 'poses'",
-        ),
         "key of another measurement": (
             "poses.toml",
-            swap_column("actuator_noise_um", "target_noise_um = 3.0\nactuator_noise_um"),
-            "data.target_noise_um: unknown key, did you mean 'actuator_noise_um'?, expected one of actuator_noise_um, "
-            "actu",
+            swap_column('kind = "poses"', 'kind = "poses"\ntarget_noise_um = 3.0'),
+            "data.0.target_noise_um: unknown key, expected one of actuators, file, frames, kind, name, ",
         ),
         "noise twice": (
             "poses.toml",
-            swap_column('poses = "data/poses.csv"', 'poses = "data/poses.csv"\nposition_um = 3.0'),
+            swap_column('kind = "poses"', 'kind = "poses"\nposition_um = 3.0'),
             "found noise columns and position_um",
         ),
         "unknown instrument": (
@@ -308,8 +302,8 @@ FAULTS = {
     "study.toml": {
         "no frame for targets": (
             "study.toml",
-            swap_column("[parameters]\n", FRAMES + "[parameters]\n"),
-            "expected no [frames]",
+            swap_column("[sensors]\n", FRAMES + "[sensors]\n"),
+            "data.0.frames: unknown key",
         ),
     },
 }

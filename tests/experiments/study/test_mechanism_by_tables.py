@@ -110,7 +110,6 @@ def test_variants_are_named_after_what_they_are_seen_by(folder):
     [
         ('model = "six_pus"\n\n', "", "model: missing"),
         ('deformation = "linear"', 'deformation = "matrix"', "deformation.matrix: found 'targets'"),
-        ("[deformation]", "[frames]\nbase = { position = 1.0, rotation = 1.0 }\n[deformation]", "frames: found beside"),
     ],
 )
 def test_what_means_nothing_here_is_refused(folder, tmp_path, refuse, old, new, message):

@@ -132,9 +132,9 @@ def test_contradiction_is_refused(drawn, what):
 
 
 def test_order_of_columns_does_not_matter(drawn):
-    before = load(drawn).seen.measured.poses.actuators
+    before = load(drawn).measured[0].poses.actuators
     with studies.changed_table(drawn / "data" / ACTUATORS, lambda rows: [row[::-1] for row in rows]):
-        after = load(drawn).seen.measured.poses.actuators
+        after = load(drawn).measured[0].poses.actuators
     np.testing.assert_array_equal(before, after)
 
 

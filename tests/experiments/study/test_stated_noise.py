@@ -55,7 +55,7 @@ def judge(inputs: StudyInputs) -> dict[str, ChiSquare]:
     posterior = subject.posterior
     found = explore(posterior, np.random.SeedSequence(1))
     draws = posterior.natural(found.straight.y_from_x(found.proposal.draw(1000, np.random.default_rng(1))))
-    extraction = inputs.seen.measured.targets.extraction
+    extraction = inputs.measured[0].targets.extraction
     return {
         "noise": subject.measure_misfit(posterior, found.modes[0].y),
         "tolerances": measure_pulls(posterior, draws),

@@ -87,7 +87,7 @@ def test_prior_draws_and_densities_are_those_of_the_tolerances(tree):
 
 def test_replicates_scatter_about_the_measured_poses(tree, inputs):
     """As far as the noise says: had they another reference than the measured, they would lie whole mm away."""
-    poses, used, position = inputs.seen.measured.poses, ~inputs.verification, {"channel": POSE[:3]}
+    poses, used, position = inputs.measured[0].poses, ~inputs.verification, {"channel": POSE[:3]}
     measured = tree["observed_data/readings"]
     np.testing.assert_array_equal(measured.sel(position), poses.position[used])
     turned = matrix_from_rotation_vector(measured.sel(channel=POSE[3:]).to_numpy())

@@ -36,7 +36,7 @@ def inputs():
 
 @pytest.fixture(scope="module")
 def poses(inputs):
-    return inputs.seen.measured.poses.select(~inputs.seen.measured.verification)
+    return inputs.measured[0].poses.select(~inputs.measured[0].verification)
 
 
 @pytest.fixture(scope="module")

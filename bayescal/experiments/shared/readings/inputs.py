@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.shared.outlook import describe_determinacy, join_outlooks
 from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
+from bayescal.experiments.shared.readings.data_schema import ReadingsTable
 from bayescal.experiments.shared.readings.errors import (
     build_terms,
     build_terms_of_model,
@@ -25,11 +27,12 @@ from bayescal.experiments.shared.readings.errors import (
     measure_ranges,
 )
 from bayescal.experiments.shared.readings.found_frames import find_frames, settle_unstated
-from bayescal.experiments.shared.readings.instrument_poses import SeenLegs, look
 from bayescal.experiments.shared.readings.instruments import keep_files, read_instruments, read_model
+from bayescal.experiments.shared.readings.measurement import Measured, leave_pose, measure_tables, settle
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
+from bayescal.experiments.shared.readings.pads import SeenPads, look_at_pads
 from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, widen
-from bayescal.experiments.shared.readings.reading_tables import PoseReadings, read_tables
+from bayescal.experiments.shared.readings.reading_tables import PoseReadings, join_readings, read_tables
 from bayescal.experiments.shared.readings.reference_values import ReferenceValues, read_beside
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
 from bayescal.experiments.shared.requirements import is_aligned, read_requirements
@@ -37,7 +40,7 @@ from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.experiments.shared.unreachable_rows import check_reach
-from bayescal.machines.readings import ReadingModel, as_legs, place
+from bayescal.machines.readings import Instrument, ReadingModel, as_legs, place
 from bayescal.numerics.geometry import Array
 
 FEWEST_ROWS = 3  # fewer may be alike on purpose
@@ -132,7 +135,13 @@ class ReadingInputs:
     missing: str = ""
     units: Mapping[str, str] = field(default_factory=dict)  # of columns, by channel, where they are not the channel's
     found: str = ""  # values of instruments that were found from the data, in a line
-    seen: SeenLegs | None = None  # what an instrument measured of a platform on legs, where it is no table of readings
+    measured: Sequence[Measured] = ()  # what tables of instruments tell
+    pads: SeenPads | None = None  # targets on a mechanism
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """Entries of the summary that say what instruments measured; of several of a kind the first counts."""
+        return {key: value for one in reversed(self.measured) for key, value in one.described.items()}
 
 
 def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None = None) -> ReadingInputs:
@@ -143,27 +152,33 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     InputError
         It names the file, the variant, the pose, the column.
     """
-    seen = None if config.by_tables else look(config, folder)
-    config = config if seen is None else seen.measured.translate(config)
+    read = [one for one in config.data if isinstance(one, ReadingsTable)]
+    measured, pads = list[Measured](), None
+    if len(read) < len(config.data):
+        looked_at = read_first_machine(config, folder)
+        measured = measure_tables(config, folder, looked_at)
+        config, pads = settle(config, measured), look_at_pads(config, measured, looked_at)
     bare, models = dict[str, ReadingModel](), dict[str, ReadingModel]()
-    instruments = read_instruments(config.instruments, folder) if seen is None else seen.measured.instruments
+    instruments = _name_instruments(measured) | read_instruments(config.instruments, folder)
+    tracked = any(one.tracker is not None for one in measured)
     beside_them = {name: settle_unstated(one) for name, one in instruments.items()}
     for one in config.variants:
         file = folder / (one.machine or config.machine)
         with name_faults(f"variant {one.name!r}") if one.model else nullcontext():
-            own = read_model(config, one, file, folder, None if seen is None else seen.matrix)
-            own = own if seen is None or seen.measured.tracker is None else own.pick(own.select(own.commanded))
-            bare[one.name] = own
-            models[one.name] = place(own, beside_them)
+            own = read_model(config, one, file, folder, None if pads is None else pads.matrix)
+            bare[one.name] = leave_pose(own) if tracked else own
+            models[one.name] = place(bare[one.name], beside_them)
         model = next(iter(models.values()))
         if models[one.name].names != model.names:
             first = config.variants[0].name
             raise InputError(f"{file}: found other channels than in {first!r}, expected the same")
-    if seen is not None:
-        seen.check(next(iter(models.values())), config, folder)
+    for it in measured:
+        it.check(model)
     symbols = {symbol for one in models.values() for symbol in one.layout.symbols}
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
-    readings = read_tables(config.tables, folder, model.channels, given) if seen is None else seen.measured.readings
+    blocks = [read_tables(read, folder, model.channels, given, alone=not measured)] if read else []
+    blocks += [it.spread(model) for it in measured]
+    readings = join_readings(blocks, model, folder / config.data[0].file)
     deviations = stated_noise(config.sensors, readings, model)
     found = find_frames(config, next(iter(bare.values())), instruments, readings, deviations, symbols)
     if found.wide:
@@ -172,10 +187,10 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     variants = {}
     for one in [one for one in config.variants if only is None or one.name in only]:
         with name_faults(f"variant {one.name!r}"):
-            known = () if seen is None else seen.list_terms(models[one.name])
-            read = readings, deviations, folder, symbols, known, found.begin
-            variants[one.name] = _build(config, one, models[one.name], *read)
-    beside = [read_beside(one, folder, model) for one in config.reference_values]
+            known = () if pads is None else pads.list_terms(models[one.name], readings.poses)
+            taken = readings, deviations, folder, symbols, known, found.begin
+            variants[one.name] = _build(config, one, models[one.name], *taken)
+    compared = [read_beside(one, folder, model) for one in config.reference_values]
     unused = readings.tell_unused({name for one in variants.values() for name in one.model.names})
     missing = join_outlooks({name: one.missing for name, one in variants.items() if one.missing})
     name = getattr(model, "name", config.machine)
@@ -185,15 +200,34 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
         config,
         name,
         variants,
-        beside,
+        compared,
         kept,
         place_of_config,
         unused=unused,
         missing="; ".join(missing),
         units=units,
         found=found.told,
-        seen=seen,
+        measured=measured,
+        pads=pads,
     )
+
+
+def read_first_machine(config: StudyConfig, folder: Path) -> ReadingModel:
+    """Return the machine of the first variant, undeformed, as tables of instruments are read for it."""
+    first = config.variants[0].model_copy(update={"deformation": "none"})
+    with name_faults(f"variant {first.name!r}") if first.model else nullcontext():
+        return read_model(config, first, folder / config.machine, folder)
+
+
+def _name_instruments(measured: Sequence[Measured]) -> dict[str, Instrument]:
+    """Return the instruments that tables bring; InputError for two of one name."""
+    found = dict[str, Instrument]()
+    for it in measured:
+        for name, beside in it.instruments.items():
+            if name in found:
+                raise InputError(f"data: found two tables with frames named {name!r}, expected a name each")
+            found[name] = beside
+    return found
 
 
 def _build(

@@ -1,4 +1,8 @@
-"""What an instrument measured of a platform on legs, as readings of channels: targets, poses or tracked points."""
+"""Tables of an instrument that sees a machine's tool, as readings of channels: targets, poses or tracked points.
+
+Where all frames are known poses are readings of the channels of a machine that has the pose among them, as one on legs.
+Otherwise they are those of a `Tracker` beside the machine, whose frames are parameters.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from bayescal.config.load import read_toml
-from bayescal.data.actuators import check_range, name_actuators, read_actuators
+from bayescal.data.actuators import (
+    check_moves,
+    check_range,
+    check_travel,
+    choose_columns,
+    name_actuators,
+    read_actuators,
+)
 from bayescal.data.instruments.read_points import (
     PointNoise,
     check_point_columns,
@@ -20,40 +31,66 @@ from bayescal.data.instruments.read_points import (
     read_stations,
 )
 from bayescal.data.instruments.read_poses import PoseNoise, PoseRecords, check_pose_table, read_poses
-from bayescal.data.instruments.readings import TrackedPoints, TrackedReadings, turn_of
+from bayescal.data.instruments.readings import (
+    StationObservation,
+    TrackedPoints,
+    TrackedReadings,
+    check_places,
+    check_units,
+    turn_of,
+)
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
 from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, check_pad_places, extract_poses
 from bayescal.data.photogrammetry.survey import Survey, check_target_columns, read_reference, read_survey
 from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.shared.readings.data_schema import (
+    PointDataConfig,
+    PoseDataConfig,
+    ReadingsTable,
+    TargetDataConfig,
+)
 from bayescal.experiments.shared.readings.machine_kind import look_at_machine
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.schema import ChannelConfig
-from bayescal.experiments.shared.schema import FramesConfig, UnitsConfig
-from bayescal.experiments.shared.study_schema import (
-    InstrumentDataConfig,
-    PointDataConfig,
-    PoseDataConfig,
-    StudyConfig,
-    TargetDataConfig,
-)
+from bayescal.experiments.shared.schema import UnitsConfig
+from bayescal.experiments.shared.study_schema import StudyConfig
+from bayescal.files.csv_tables import read_table
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import Instrument, Tracker
+from bayescal.machines.readings import Channel, Instrument, InstrumentedMachine, ReadingModel, Tracker, as_legs
 from bayescal.machines.readings.base import POSE_CHANNELS
+from bayescal.machines.readings.placed import locate_tool, rename_channel
 from bayescal.machines.readings.tracker import frame_symbols, name_frames
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, Units
 
+type InstrumentTable = TargetDataConfig | PoseDataConfig | PointDataConfig
+
+
+@dataclass(frozen=True, eq=False)
+class TargetMeasurement:
+    """Photogrammetry: targets on both bodies, the poses extracted from them, and when they were taken."""
+
+    survey: Survey
+    extraction: PoseExtraction
+    noise: float
+    """Standard deviation of a target's coordinate, mm."""
+
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What an instrument measured of a platform on legs, as readings of the legs' channels and of its own."""
+    """What a table of an instrument tells of a machine."""
 
-    readings: PoseReadings  # of actuators, then of poses; of a tracker's channels instead of these where there is one
-    # poses of the platform as measured, all frames as they should be; NaN where a coordinate is not
+    data: InstrumentTable
+    folder: Path
+    readings: PoseReadings  # of commanded channels, then of those of the instrument
+    commands: tuple[Channel, ...]
+    seen: tuple[Channel, ...]  # by their names on the machine with its instruments
+    # poses of the tool as measured, all frames as they should be; NaN where a coordinate is not
     poses: MeasuredPoses
     described: dict[str, Any]  # entries of the summary that say what was measured
-    # an instrument whose frames have to be found, or that sees points which tell no whole pose
+    # an instrument whose frames have to be found, that sees points which tell no whole pose, or a pose of a machine
+    # that has no such channels
     tracker: Tracker | None = None
     # what is known of its frames, in the units of a config
     parameters: dict[str, PriorConfig] = field(default_factory=dict)
@@ -67,57 +104,70 @@ class Measured:
 
     @property
     def instruments(self) -> dict[str, Instrument]:
-        """The tracker, whose parameters have names of their own."""
-        return {} if self.tracker is None else {"": self.tracker}
+        """The tracker, by what begins the names of its parameters and channels."""
+        return {} if self.tracker is None else {name_instrument(self.data): self.tracker}
 
-    def translate(self, config: StudyConfig) -> StudyConfig:
-        """Return a config of tables of readings that says the same of noise, frames and variants."""
-        variants = [
-            one if one.free is None else one.model_copy(update={"free": [*one.free, *self.parameters]})
-            for one in config.variants
-        ]
-        known, stated = dict(config.parameters) | self.parameters, state_noise(config)
-        channels = POSE_CHANNELS if self.tracker is None else tuple(self.tracker.channels)
-        places = range(self.poses.actuators.shape[1], self.readings.values.shape[1])
-        sensors = dict(stated.sensors)
-        for kind in dict.fromkeys(one.kind for one in channels):  # stated row by row, here for who asks for one number
-            own = [k for k, one in zip(places, channels, strict=True) if one.kind == kind]
+    def spread(self, model: ReadingModel) -> PoseReadings:
+        """Return the readings of all channels (K) of the machine with its instruments; NaN where there are none."""
+        names = [one.name for one in (*self.commands, *self.seen)]
+        return self.readings.spread([model.names.index(one) for one in names], model)
+
+    def state_noise(self) -> dict[str, ChannelConfig]:
+        """Return the noise of its channels by kind: it stands row by row, here for who asks for one number."""
+        found = dict[str, ChannelConfig]()
+        for kind in dict.fromkeys(one.kind for one in self.seen):
+            own = [k for k, one in enumerate(self.seen, start=len(self.commands)) if one.kind == kind]
             sd = self.readings.sd[:, own]
             if not np.isfinite(sd).any():  # of poses measured in part
                 continue
             rms = float(np.sqrt(np.nanmean(sd**2)))
-            length = next(one.unit for one in channels if one.kind == kind) == "mm"
-            sensors[kind] = ChannelConfig(noise_mm=rms) if length else ChannelConfig(noise_rad=rms)
-        return stated.model_copy(update={"parameters": known, "variants": variants, "sensors": sensors})
+            length = next(one.unit for one in self.seen if one.kind == kind) == "mm"
+            found[kind] = ChannelConfig(noise_mm=rms) if length else ChannelConfig(noise_rad=rms)
+        return found
+
+    def check(self, model: ReadingModel) -> None:
+        """Raise InputError where the readings cannot be in the units that their table names."""
+        whole = model.whole if isinstance(model, InstrumentedMachine) else model
+        if self.tracked is None or not self.commands or whole.given:
+            return
+        expected, path = locate_tool(whole, self.tracked.actuators), self.folder / self.data.file
+        check_units(expected, self.tracked, path)
+        if isinstance(self.data, PointDataConfig) and isinstance(self.tracked, TrackedPoints):
+            stations = None if self.data.stations is None else self.folder / self.data.stations
+            check_places(expected, self.tracked, read_stations(stations).position, path)
 
 
-def state_noise(config: StudyConfig) -> StudyConfig:
-    """Return a config that states the noise of the actuators by channel; one of tables of readings as it is."""
-    if config.by_tables:
-        return config
-    return config.model_copy(update={"sensors": {"rho": ChannelConfig(noise_um=config.measured.actuator_noise_um)}})
+def name_instrument(data: InstrumentTable) -> str:
+    """Return what begins the names of a table's channels and frames."""
+    return "" if isinstance(data, TargetDataConfig) else data.name
 
 
-@dataclass(frozen=True, eq=False)
-class TargetMeasurement:
-    """Photogrammetry: targets on both bodies, the poses extracted from them, and when they were taken."""
-
-    survey: Survey
-    extraction: PoseExtraction
-    noise: float
-    """Standard deviation of a target's coordinate, mm."""
-
-
-def _read_whole(poses: MeasuredPoses, verification: np.ndarray) -> PoseReadings:
-    """Return actuators and poses, in known frames, as readings of legs' channels."""
-    values = np.concatenate([poses.position, turn_of(poses.rotation)], axis=1)
-    return _gather(poses.names, verification, poses.actuators, [(values, poses.covariance)])
+def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
+    """Return a config that states the noise and the frames, all of them free, of what tables measured."""
+    parameters = {name: one for it in measured for name, one in it.parameters.items()}
+    noise = {name: one for it in measured for name, one in it.state_noise().items() if name not in config.sensors}
+    variants = [
+        one if one.free is None else one.model_copy(update={"free": [*one.free, *parameters]})
+        for one in config.variants
+    ]
+    known, sensors = {**config.parameters, **parameters}, {**config.sensors, **noise}
+    return config.model_copy(update={"parameters": known, "variants": variants, "sensors": sensors})
 
 
-def _gather(
-    names: Sequence[str], verification: np.ndarray, actuators: Array, blocks: Sequence[tuple[Array, Array]]
-) -> PoseReadings:
-    """Return commanded actuators (P, N), whose noise a config states, and blocks of readings with their covariances."""
+def has_pose(machine: ReadingModel) -> bool:
+    """Return whether a machine has the pose of its tool among its channels."""
+    return {*POSE_CHANNELS} <= {*machine.channels}
+
+
+def leave_pose(machine: ReadingModel) -> ReadingModel:
+    """Return a machine without the pose among its channels, which an instrument beside it sees."""
+    kept = [k for k, one in enumerate(machine.channels) if one not in POSE_CHANNELS]
+    return machine.pick(np.array(kept, dtype=int)) if has_pose(machine) else machine
+
+
+def _gather(commanded: bool, taken: PoseRecords, blocks: Sequence[tuple[Array, Array]]) -> PoseReadings:
+    """Return positions of actuators, whose noise a config states, and blocks of readings with their covariances."""
+    actuators = taken.actuators
     values = np.concatenate([actuators, *(own for own, _ in blocks)], axis=1)
     n_poses, n = values.shape
     sd, correlation = np.full((n_poses, n), np.nan), np.tile(np.eye(n), (n_poses, 1, 1))
@@ -129,112 +179,189 @@ def _gather(
         sd[:, start:end] = np.where(there, size, np.nan)
         correlation[:, start:end, start:end] = known / (size[:, :, None] * size[:, None, :])
         start = end
-    commanded = np.zeros((n_poses, n), dtype=bool)
-    commanded[:, : actuators.shape[1]] = True
+    asked = np.zeros((n_poses, n), dtype=bool)
+    asked[:, : actuators.shape[1]] = commanded
     apart = not (np.abs(correlation) * ~np.eye(n, dtype=bool)).any()
-    return PoseReadings(tuple(map(str, names)), verification, values, sd, None if apart else correlation, commanded)
+    names = tuple(map(str, taken.names))
+    return PoseReadings(names, taken.verification, values, sd, None if apart else correlation, asked)
 
 
-def _know_frames(n_stations: int, frames: FramesConfig, section: UnitsConfig) -> dict[str, PriorConfig]:
+def _know_frames(
+    data: PoseDataConfig | PointDataConfig, n_stations: int, section: UnitsConfig
+) -> dict[str, PriorConfig]:
     """Return what is known of the frames that have to be found, in a config's units."""
-    units, found = Units(section.length, section.angle), dict[str, PriorConfig]()
+    units, found, frames = Units(section.length, section.angle), dict[str, PriorConfig](), data.frames
     for name in name_frames(n_stations):
         known = frames.tool if name == "tool" else frames.base
         if known is not None:
-            moved, turned = frame_symbols(name)
+            moved, turned = frame_symbols(f"{data.name}_{name}" if data.name else name)
             found |= dict.fromkeys(moved, NormalConfig(prior="normal", sd=known.position / units.factor("mm")))
             angle = float(np.radians(known.rotation)) / units.factor("rad")
             found |= dict.fromkeys(turned, NormalConfig(prior="normal", sd=angle))
     return found
 
 
-def name_data(data: InstrumentDataConfig, folder: Path) -> Path:
-    """Return the file of the measurements."""
-    if isinstance(data, TargetDataConfig):
-        return folder / data.targets
-    return folder / (data.poses if isinstance(data, PoseDataConfig) else data.points)
-
-
-def read_measurement(config: StudyConfig, folder: Path, mechanism: Mechanism) -> Measured:
-    """Return what a study measured.
+def measure_tables(config: StudyConfig, folder: Path, machine: ReadingModel) -> list[Measured]:
+    """Return what instruments measured of a machine, table by table; tables of readings are not among them.
 
     Raises
     ------
     InputError
-        For anything at fault in its tables.
+        For anything at fault in the tables.
     """
-    data = config.measured
-    if isinstance(data, TargetDataConfig):
-        return _read_targets(data, folder, mechanism)
-    actuators = None if data.actuators is None else folder / data.actuators
-    tracked: TrackedReadings
-    if isinstance(data, PoseDataConfig):
-        noise = PoseNoise(data.position_um, data.arcseconds)
-        tracked, taken = read_poses(folder / data.poses, actuators, noise, mechanism.n_legs)
-    else:
-        tracked, taken = _read_points(data, folder, mechanism.n_legs)
-    with name_faults(name_data(data, folder)):
-        check_repeated(tracked.names, tracked.values, taken.verification)
-    free = [name for name in ("base", "tool") if getattr(config.frames, name) is not None]
-    described = {"instrument": {"instrument": data.instrument, "free_frames": free, **tracked.describe()}}
-    if not free and tracked.is_whole():
-        return Measured(_read_whole(tracked.poses, taken.verification), tracked.poses, described, tracked=tracked)
-    seen = tracked.see()
-    readings = _gather(
-        tracked.names, taken.verification, tracked.actuators, [(one.values, one.covariance) for one in seen]
-    )
-    if not free and isinstance(data, PoseDataConfig):  # in part, in the base frame
-        return Measured(readings, tracked.poses, described, tracked=tracked)
-    tracker = Tracker(tracked.stations, [(one.station, one.point) for one in seen])
-    known = _know_frames(len(tracked.stations), config.frames, config.units)
-    return Measured(readings, tracked.poses, described, tracker, known, tracked)
+    tables = [one for one in config.data if not isinstance(one, ReadingsTable)]
+    reader = InstrumentReader(folder, machine, config.units, len(tables) < len(config.data))
+    return [reader.read(one) for one in tables]
 
 
-def _read_targets(data: TargetDataConfig, folder: Path, mechanism: Mechanism) -> Measured:
-    survey = read_survey(folder / data.targets, folder / data.actuators, folder / data.reference, mechanism.n_legs)
-    noise = data.target_noise_um * MICROMETRE
-    with name_faults(folder / data.reference):
-        check_pad_places(survey.platform, mechanism.platform_points)
-    with name_faults(folder / data.targets):
-        check_exchanged(survey, noise)
-        check_repeated(survey.poses, survey.platform.measured, survey.verification)
-        extraction = extract_poses(survey, noise, data.pose_estimator)
-    described = {
-        "pose_extraction": {
-            "method": data.pose_estimator,
-            "chi2_per_dof": extraction.chi2_per_dof,
-            "dof": extraction.dof,
-            "n_targets": extraction.n_targets,
-            "rejected_targets": ["/".join(target) for target in extraction.rejected],
+@dataclass(frozen=True, eq=False)
+class InstrumentReader:
+    """Reads tables of instruments that see the tool of a machine."""
+
+    folder: Path
+    machine: ReadingModel
+    units: UnitsConfig
+    beside_readings: bool  # a table of readings may have the positions of the actuators
+
+    def read(self, data: InstrumentTable) -> Measured:
+        """Return what a table measured; InputError for anything at fault in it or in those beside it."""
+        found = self._read_targets(data) if isinstance(data, TargetDataConfig) else self._read_tracked(data)
+        if found.commands:
+            poses = found.poses
+            with name_faults(self.folder / (data.actuators or data.file)):
+                check_travel(poses.actuators, self.machine.command_range, found.commands, poses.names)
+                check_moves(poses.actuators[~found.verification])
+        return found
+
+    # --- what is read --------------------------------------------------------------------------------------------
+
+    def _read_tracked(self, data: PoseDataConfig | PointDataConfig) -> Measured:
+        tracked, taken = self._read_poses(data) if isinstance(data, PoseDataConfig) else self._read_points(data)
+        with name_faults(self.folder / data.file):
+            check_repeated(tracked.names, tracked.values, taken.verification)
+        free = [name for name in ("base", "tool") if getattr(data.frames, name) is not None]
+        described = {"instrument": {"instrument": data.kind, "free_frames": free, **tracked.describe()}}
+        if not free and has_pose(self.machine):
+            if tracked.is_whole():
+                return self._join(data, taken, tracked.poses, [_pose_block(tracked.poses)], described, tracked=tracked)
+            if isinstance(data, PoseDataConfig):  # in part, in the base frame
+                blocks = [(one.values, one.covariance) for one in tracked.see()]
+                return self._join(data, taken, tracked.poses, blocks, described, tracked=tracked)
+        seen, n = tracked.see(), 6
+        if not self.machine.tells_rotation:
+            self._check_unturned(data, seen)
+            n = 3
+        return self._join(
+            data,
+            taken,
+            tracked.poses,
+            [(one.values[:, :n], one.covariance[:, :n, :n]) for one in seen],
+            described,
+            tracker=Tracker(tracked.stations, [(one.station, one.point) for one in seen], n > 3),
+            parameters=_know_frames(data, len(tracked.stations), self.units),
+            tracked=tracked,
+        )
+
+    def _check_unturned(self, data: PoseDataConfig | PointDataConfig, seen: Sequence[StationObservation]) -> None:
+        """Raise InputError for what a machine that does not say how its tool is turned cannot be compared with."""
+        expected = "which does not say how its tool is turned, expected positions of the tool's centre alone"
+        points = any(one.point is not None and one.point.any() for one in seen)
+        if points or any(one.point is None and np.isfinite(one.values[:, 3:]).any() for one in seen):
+            found = "points beside the tool's centre" if points else "rotations"
+            raise InputError(f"{self.folder / data.file}: found {found} for a machine {expected}")
+        if data.frames.tool is not None:
+            raise InputError(f"data.frames.tool: found it for a machine {expected}")
+
+    def _read_poses(self, data: PoseDataConfig) -> tuple[TrackedReadings, PoseRecords]:
+        path, actuators = self.folder / data.file, None if data.actuators is None else self.folder / data.actuators
+        columns = choose_columns(self._commands, path if actuators is None else actuators)
+        if self.beside_readings and actuators is None and not {*columns} & {*read_table(path, None).columns}:
+            columns = {}
+        return read_poses(path, actuators, PoseNoise(data.position_um, data.arcseconds), columns)
+
+    def _read_points(self, data: PointDataConfig) -> tuple[TrackedReadings, PoseRecords]:
+        folder, each = self.folder, data.point_um
+        actuators, stations = folder / data.actuators, None if data.stations is None else folder / data.stations
+        noise = PointNoise(
+            () if each is None else tuple(each) if isinstance(each, list) else (each,) * 3,
+            data.range_um,
+            data.range_ppm,
+            data.azimuth_arcsec or 0.0,
+            data.elevation_arcsec or 0.0,
+        )
+        columns = choose_columns(self._commands, actuators)
+        return read_points(folder / data.file, folder / data.probe, stations, actuators, noise, columns)
+
+    def _read_targets(self, data: TargetDataConfig) -> Measured:
+        path, actuators, reference = (self.folder / one for one in (data.file, data.actuators, data.reference))
+        legs, columns = as_legs(self.machine), choose_columns(self._commands, actuators)
+        survey = read_survey(path, actuators, reference, columns, 0 if legs is None else legs.n_legs)
+        noise = data.target_noise_um * MICROMETRE
+        if legs is not None:
+            with name_faults(reference):
+                check_pad_places(survey.platform, legs.machine.mechanism.platform_points)
+        with name_faults(path):
+            check_exchanged(survey, noise)
+            check_repeated(survey.poses, survey.platform.measured, survey.verification)
+            extraction = extract_poses(survey, noise, data.pose_estimator)
+        described = {
+            "pose_extraction": {
+                "method": data.pose_estimator,
+                "chi2_per_dof": extraction.chi2_per_dof,
+                "dof": extraction.dof,
+                "n_targets": extraction.n_targets,
+                "rejected_targets": ["/".join(target) for target in extraction.rejected],
+            }
         }
-    }
-    targets = TargetMeasurement(survey, extraction, noise)
-    readings = _read_whole(extraction.poses, survey.verification)
-    return Measured(readings, extraction.poses, described, targets=targets)
+        taken = PoseRecords(extraction.poses.names, survey.verification, extraction.poses.actuators)
+        found, poses = TargetMeasurement(survey, extraction, noise), extraction.poses
+        tracker = None if has_pose(self.machine) else Tracker(("",), [(0, None)])
+        return self._join(data, taken, poses, [_pose_block(poses)], described, tracker=tracker, targets=found)
+
+    # --- as readings ---------------------------------------------------------------------------------------------
+
+    @property
+    def _commands(self) -> tuple[Channel, ...]:
+        """The channels by which the machine is commanded."""
+        return tuple(self.machine.channels[k] for k in self.machine.select(self.machine.commanded))
+
+    def _join(
+        self,
+        data: InstrumentTable,
+        taken: PoseRecords,
+        poses: MeasuredPoses,
+        blocks: Sequence[tuple[Array, Array]],
+        described: dict[str, Any],
+        tracker: Tracker | None = None,
+        **others: Any,
+    ) -> Measured:
+        """Return readings of the actuators and blocks of readings: of the machine's pose, or of a tracker."""
+        commands, q = self._commands if taken.actuators.shape[1] else (), len(self.machine.coordinates)
+        enough = len(commands) == q or (len(commands) > q and len({one.unit for one in commands}) == 1)
+        name, channels = name_instrument(data), POSE_CHANNELS if tracker is None else tuple(tracker.channels)
+        seen = channels if tracker is None else tuple(rename_channel(name, one) for one in channels)
+        readings = _gather(enough, taken, blocks)
+        return Measured(data, self.folder, readings, commands, seen, poses, described, tracker, **others)
 
 
-def _read_points(data: PointDataConfig, folder: Path, n_legs: int) -> tuple[TrackedPoints, PoseRecords]:
-    stations = None if data.stations is None else folder / data.stations
-    each = data.point_um
-    noise = PointNoise(
-        () if each is None else tuple(each) if isinstance(each, list) else (each,) * 3,
-        data.range_um,
-        data.range_ppm,
-        data.azimuth_arcsec or 0.0,
-        data.elevation_arcsec or 0.0,
-    )
-    return read_points(folder / data.points, folder / data.probe, stations, folder / data.actuators, noise, n_legs)
+def _pose_block(poses: MeasuredPoses) -> tuple[Array, Array]:
+    """Return poses (P, 6) with their covariances, as readings."""
+    return np.concatenate([poses.position, turn_of(poses.rotation)], axis=1), poses.covariance
 
 
 # --- each file by itself: reading ends at the first fault, here every file is read as far as it depends on no other -
 
 
 def list_file_faults(content: Mapping[str, Any], folder: Path) -> list[str]:
-    """Return what is wrong with the files that a study's config names, a line each; the config may be at fault.
+    """Return what is wrong with the files that tables of instruments name, a line each; the config may be at fault.
 
     A machine at fault has as many legs as there are places of its base, where these say it.
     """
     data = content.get("data")
+    tables = [one for one in data if isinstance(one, dict)] if isinstance(data, list) else []
+    tables = [one for one in tables if one.get("kind") in ("targets", "poses", "points")]
+    if not tables:
+        return []
     machine, faults = look_at_machine(content, folder)
     n_legs = None if machine is None else machine.n_legs
     if machine is None:
@@ -242,11 +369,12 @@ def list_file_faults(content: Mapping[str, Any], folder: Path) -> list[str]:
             base = read_toml(folder / str(content.get("machine")))[0].get("base")
             places = (base.get("points_mm") or base.get("azimuth_deg")) if isinstance(base, dict) else None
             n_legs = len(places) if isinstance(places, list) else None
-    for check in _list_checks(data if isinstance(data, dict) else {}, folder, n_legs, machine):
-        try:
-            check()
-        except InputError as error:
-            faults += error.lines
+    for one in tables:
+        for check in _list_checks(one, folder, n_legs, machine):
+            try:
+                check()
+            except InputError as error:
+                faults += error.lines
     return faults
 
 
@@ -261,14 +389,14 @@ def _list_checks(
             yield lambda: _check_actuators(tables["actuators"], legs, machine)
         if "reference" in tables:
             yield lambda: read_reference(tables["reference"], legs)
-        if data.get("instrument") == "poses" and "poses" in tables:
+        if data["kind"] == "poses" and "file" in tables:
             stated = (any(key.startswith(begin) for key in data) for begin in ("position_", "orientation_"))
             noise = PoseNoise(*(1.0 if one else None for one in stated))  # whatever its size: the config answers for it
-            yield lambda: check_pose_table(tables["poses"], noise, name_actuators(legs))
-    if data.get("instrument", "targets") == "targets" and "targets" in tables:
-        yield lambda: check_target_columns(tables["targets"])
-    if data.get("instrument") == "points" and "points" in tables:
-        yield lambda: check_point_columns(tables["points"], "stations" in tables)
+            yield lambda: check_pose_table(tables["file"], noise, name_actuators(legs))
+    if data["kind"] == "targets" and "file" in tables:
+        yield lambda: check_target_columns(tables["file"])
+    if data["kind"] == "points" and "file" in tables:
+        yield lambda: check_point_columns(tables["file"], "stations" in tables)
     if "probe" in tables:
         yield lambda: read_probe(tables["probe"])
     if "stations" in tables:
@@ -277,7 +405,7 @@ def _list_checks(
 
 def _check_actuators(path: Path, n_legs: int, machine: Mechanism | None) -> None:
     """Raise InputError for a table of actuator positions that is none, or that its machine does not reach."""
-    names, _, actuators = read_actuators(path, n_legs)
+    names, _, actuators = read_actuators(path, name_actuators(n_legs))
     if machine is not None:
         with name_faults(path):
             check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names)

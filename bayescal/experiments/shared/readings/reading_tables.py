@@ -17,10 +17,11 @@ import numpy as np
 
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, read_rotation_vectors
 from bayescal.errors import InputError
-from bayescal.experiments.shared.readings.schema import DataTableConfig
+from bayescal.experiments.shared.readings.data_schema import OwnDataConfig, ReadingsTable
+from bayescal.experiments.shared.readings.reader import read_own_table
 from bayescal.experiments.shared.rows import USES
 from bayescal.files.csv_tables import CsvTable, read_table
-from bayescal.machines.readings import Channel
+from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, units_like
 
@@ -41,6 +42,18 @@ class PoseReadings:
     commanded: np.ndarray  # (P, K): which readings are positions that the machine was commanded to
     given: dict[str, Array] = field(default_factory=dict)  # (P,): NaN where it is not known
     columns: list[tuple[str, str, str]] = field(default_factory=list)  # where the channels' readings come from
+
+    def spread(self, at: Sequence[int], model: ReadingModel) -> PoseReadings:
+        """Return the same as readings of some of a machine's channels, at these places among them."""
+        n, k = len(self.poses), len(model.channels)
+        if list(at) == list(range(k)) and not model.given:
+            return self
+        found = _make_empty(self.poses, model, self.correlation is not None)
+        found.verification[:] = self.verification
+        found.values[:, at], found.sd[:, at], found.commanded[:, at] = self.values, self.sd, self.commanded
+        if self.correlation is not None and found.correlation is not None:
+            found.correlation[np.ix_(range(n), at, at)] = self.correlation
+        return found
 
     def list_units(self, channels: Sequence[Channel]) -> dict[str, str]:
         """Return the units that columns have by channel, of those in another one than the channel's own."""
@@ -72,14 +85,67 @@ class _Column:
     covariance: bool = False
 
 
+def _make_empty(
+    poses: Sequence[str], model: ReadingModel, is_correlated: bool, given: Sequence[str] | None = None
+) -> PoseReadings:
+    """Return P poses of which nothing is read."""
+    n, k = len(poses), len(model.channels)
+    return PoseReadings(
+        tuple(poses),
+        np.zeros(n, dtype=bool),
+        np.full((n, k), np.nan),
+        np.full((n, k), np.nan),
+        np.tile(np.eye(k), (n, 1, 1)) if is_correlated else None,
+        np.zeros((n, k), dtype=bool),
+        {name: np.full(n, np.nan) for name in (model.given if given is None else given)},
+    )
+
+
+def join_readings(blocks: Sequence[PoseReadings], model: ReadingModel, path: Path) -> PoseReadings:
+    """Return readings of all channels that several tables have, rows of one pose together.
+
+    InputError where two have a reading of the same channel and pose, a pose has none, or none is for calibration.
+    """
+    if len(blocks) == 1:
+        return blocks[0]
+    poses = list(dict.fromkeys(name for one in blocks for name in one.poses))
+    places = {name: row for row, name in enumerate(poses)}
+    given = list(dict.fromkeys(name for one in blocks for name in one.given))
+    found = _make_empty(poses, model, any(one.correlation is not None for one in blocks), given)
+    for one in blocks:
+        rows = np.array([places[name] for name in one.poses])
+        found.verification[rows] |= one.verification
+        found.commanded[rows] |= one.commanded
+        for into, values in ((found.values, one.values), (found.sd, one.sd)):
+            twice = np.isfinite(into[rows]) & np.isfinite(values)
+            for row, k in np.argwhere(twice)[:1]:
+                channel = model.channels[k].name
+                raise InputError(
+                    f"{path}: pose {one.poses[row]!r}: found a second reading of {channel} in [[data]], expected one"
+                )
+            into[rows] = np.where(np.isfinite(values), values, into[rows])
+        if one.correlation is not None and found.correlation is not None:
+            apart = np.where(np.eye(len(model.channels), dtype=bool), 0.0, one.correlation)
+            found.correlation[rows] += apart
+        for name, column in one.given.items():
+            found.given[name][rows] = np.where(np.isfinite(column), column, found.given[name][rows])
+        found.columns.extend(one.columns)
+    _check_poses(found, path)
+    return found
+
+
 def read_tables(
-    sections: Sequence[DataTableConfig], folder: Path, channels: Sequence[Channel], given: Sequence[str]
+    sections: Sequence[ReadingsTable],
+    folder: Path,
+    channels: Sequence[Channel],
+    given: Sequence[str],
+    alone: bool = True,
 ) -> PoseReadings:
     """Return the readings of several tables.
 
     Parameters
     ----------
-    sections : sequence of DataTableConfig
+    sections : sequence of ReadingsTable
         A table each.
     folder : Path
         Where their files start.
@@ -87,6 +153,8 @@ def read_tables(
         All of the machine.
     given : sequence of str
         Names of what may be known of rows besides.
+    alone : bool
+        Whether these are all tables that there are.
 
     Raises
     ------
@@ -94,7 +162,7 @@ def read_tables(
         Names file, line and column.
     """
     known = _list_columns(channels, given)
-    read = [_turn(read_table(folder / one.file, None), known, channels) for one in sections]
+    read = [_turn(_read(one, folder), known, channels) for one in sections]
     tables = [_check(table, known, channels, one) for table, one in zip(read, sections, strict=True)]
     is_correlated = any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
@@ -110,8 +178,15 @@ def read_tables(
     )
     for table, one in zip(tables, sections, strict=True):
         _fill(found, table, known, channels, [places[name] for name in pose_names(table)], one)
-    _check_poses(found, folder / sections[0].file)
+    if alone:
+        _check_poses(found, folder / sections[0].file)
     return found
+
+
+def _read(section: ReadingsTable, folder: Path) -> CsvTable:
+    """Return a table as its file has it, or as a reader of somebody else makes it of the file."""
+    path = folder / section.file
+    return read_own_table(section, path, folder) if isinstance(section, OwnDataConfig) else read_table(path, None)
 
 
 def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel]) -> CsvTable:
@@ -167,7 +242,7 @@ def _hint(name: str, channels: Sequence[Channel], known: Mapping[str, _Column]) 
 
 
 def _check(
-    table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel], section: DataTableConfig
+    table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel], section: ReadingsTable
 ) -> CsvTable:
     if "pose" not in table.columns:
         raise InputError(f"{table.path}: found no column 'pose'")
@@ -208,7 +283,7 @@ def _fill(
     known: Mapping[str, _Column],
     channels: Sequence[Channel],
     rows: list[int],
-    section: DataTableConfig,
+    section: ReadingsTable,
 ) -> None:
     held, ignored = section.verification_poses, section.ignore
     for name in held:

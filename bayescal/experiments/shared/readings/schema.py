@@ -31,28 +31,6 @@ class ProvenanceConfig(Section):
         return self
 
 
-class DataTableConfig(Section):
-    """A CSV table of readings, a row a pose; rows of the same pose in several tables belong together.
-
-    ``channels`` must be there, all others are optional; columns in ``ignore`` may be there and are not read; poses in
-    ``verification_poses`` are kept for verification. Channels in ``commanded_channels`` say where the machine was
-    sent to: its poses are uniformly distributed in these then, and not in its coordinates.
-    """
-
-    file: InputFile
-    """CSV file of readings, a row a pose."""
-    channels: Names = Field(default=[])
-    """Channels, or kinds of them, that must be in the table."""
-    ignore: Names = Field(default=[])
-    """Columns that are not read."""
-    verification_poses: Names = Field(default=[])
-    """Poses that are kept for verification."""
-    commanded_channels: Names = Field(default=[], exclude_if=lambda value: not value)
-    """Channels, or kinds of them, that the machine was commanded by: before they are measured its poses are uniformly
-    distributed in these; in its coordinates where nothing is said.
-    """
-
-
 class ChannelConfig(Section):
     """Noise of a channel or of all of a kind, one value or one each; zero for a constraint.
 

@@ -1,20 +1,16 @@
-"""A platform on legs that an instrument saw: what was measured, and K and κ from targets on its pads.
+"""Targets on the pads of a platform on legs: K and κ of its deformation, and what they leave uncertain.
 
 What these tell of the joints is deflection, K and κ (RR-8096 eqs. 1 to 4), and what that leaves of the readings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from bayescal.data.actuators import check_moves, check_range
-from bayescal.data.instruments.read_points import read_stations
-from bayescal.data.instruments.readings import TrackedPoints, check_places, check_units
 from bayescal.data.measured_poses import MeasuredPoses
 from bayescal.data.photogrammetry.joint_deflection import (
     JointDeflection,
@@ -27,11 +23,11 @@ from bayescal.data.photogrammetry.joint_deflection import (
 from bayescal.data.photogrammetry.poses import PoseExtraction
 from bayescal.density.calibration.terms import CorrelatedNoise, ErrorTerm
 from bayescal.errors import InputError, PoseInputError, name_faults
-from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement, name_data, read_measurement
-from bayescal.experiments.shared.study_schema import PointDataConfig, StudyConfig, TargetDataConfig
+from bayescal.experiments.shared.readings.data_schema import TargetDataConfig
+from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement
+from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import load_mechanism
-from bayescal.machines.readings import POSE, InstrumentedMachine, Legs, ReadingModel
+from bayescal.machines.readings import POSE, Legs, ReadingModel, as_legs
 from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array
 
@@ -45,8 +41,13 @@ class Pads:
     kappa: KappaEstimate  # κ, from the calibration poses
     extraction: PoseExtraction  # the poses of base and platform that the deflection was measured from
 
-    def list_terms(self, model: Legs, poses: MeasuredPoses, verification: np.ndarray) -> tuple[CorrelatedNoise, ...]:
+    def list_terms(
+        self, model: Legs, names: Sequence[str], poses: MeasuredPoses, verification: np.ndarray
+    ) -> tuple[Array, Array]:
         """Return what the uncertainty of the rest of K does to readings of all poses; the diagonal is free or nominal.
+
+        Of channels with these names, in columns (P, K, n) of n independent normal errors: by the legs and with the
+        poses together, and with the poses alone.
 
         A joint that is known to be deflected by δ more than it is shows in its actuator as (∂f/∂ρ)⁻¹ ∂f/∂δ δ. K was
         measured in the same photographs as the poses for calibration: their errors depend on its own.
@@ -63,15 +64,14 @@ class Pads:
             closure(poses.position, poses.rotation, replace(basis, actuator_gain=one), False).actuators
             for one in (gain, gain + np.eye(n))
         )
-        shape = (len(displacement), len(model.channels), len(rest))
+        shape = (len(displacement), len(names), len(rest))
         own, beside = np.zeros(shape), np.zeros(shape)
-        names = list(model.names)
-        legs, seen = ([names.index(one) for one in names if (one in POSE) == of_pose] for of_pose in (False, True))
+        legs, seen = ([k for k, one in enumerate(names) if one in some] for some in (model.commanded, POSE))
         moved = divide_closure(less, (more - less) @ design @ root)
         own[:, legs] = moved if mechanism.actuator_gains is None else moved / mechanism.actuator_gains[:, None]
         on_poses = np.linalg.solve(root, self._with_poses(~verification)[:, rest])
         beside[np.ix_(~verification, seen)] = np.swapaxes(on_poses, -1, -2)
-        return CorrelatedNoise(own + beside), CorrelatedNoise(beside, -1.0)
+        return own + beside, beside
 
     def _with_poses(self, used: np.ndarray) -> Array:
         """Return the covariance of K, row by row, with the errors of its poses in the base frame, (P, N * N, 6)."""
@@ -107,8 +107,8 @@ def measure_pads(targets: TargetMeasurement, displacement: Array) -> Pads | None
 
 
 @dataclass(frozen=True, eq=False)
-class SeenLegs:
-    """What was measured of a mechanism."""
+class SeenPads:
+    """Targets that were measured on a mechanism, and perhaps on its pads."""
 
     mechanism: Mechanism
     measured: Measured
@@ -126,8 +126,7 @@ class SeenLegs:
     def pads(self) -> Pads | None:
         """What the targets on the pads tell; where no variant takes K from them, faults of theirs do not count."""
         targets = self.measured.targets
-        if targets is None:
-            return None
+        assert targets is not None
         try:
             return measure_pads(targets, self.displacement)
         except InputError:
@@ -146,41 +145,43 @@ class SeenLegs:
         """What finds K, where it is taken from the targets; None where it stands in a file."""
         return self.find_matrix if self.from_targets else None
 
-    def list_terms(self, model: ReadingModel) -> tuple[ErrorTerm, ...]:
-        """Return what the uncertainty of a measured K does to the readings of a machine that uses it."""
-        if not (isinstance(model, Legs) and model.machine.deformation.uses_matrix and self.from_targets):
+    def list_terms(self, model: ReadingModel, rows: Sequence[str]) -> tuple[ErrorTerm, ...]:
+        """Return what the uncertainty of a measured K does to the readings at poses of a machine that uses it."""
+        legs = as_legs(model)
+        if legs is None or not (legs.machine.deformation.uses_matrix and self.from_targets):
             return ()
         assert self.pads is not None
-        return self.pads.list_terms(model, self.measured.poses, self.measured.verification)
-
-    def check(self, model: ReadingModel, config: StudyConfig, folder: Path) -> None:
-        """Raise InputError where the measurements cannot be in the units that their tables name."""
-        legs, tracked = model.whole if isinstance(model, InstrumentedMachine) else model, self.measured.tracked
-        assert isinstance(legs, Legs)
-        if tracked is None:
-            return
-        data, path = config.measured, name_data(config.measured, folder)
-        check_units(legs.machine, tracked, path)
-        if isinstance(data, PointDataConfig) and isinstance(tracked, TrackedPoints):
-            places = read_stations(None if data.stations is None else folder / data.stations).position
-            check_places(legs.machine, tracked, places, path)
+        poses, at = self.measured.poses, [list(rows).index(name) for name in self.measured.poses.names]
+        both, beside = (
+            _place_rows(one, at, len(rows))
+            for one in self.pads.list_terms(legs, model.names, poses, self.measured.verification)
+        )
+        return CorrelatedNoise(both), CorrelatedNoise(beside, -1.0)
 
 
-def look(config: StudyConfig, folder: Path) -> SeenLegs:
-    """Return what a study's instrument saw of its mechanism; InputError for faults of its files."""
-    mechanism, data = load_mechanism(folder / config.machine), config.measured
-    measured = read_measurement(config, folder, mechanism)
-    poses, used = measured.poses, ~measured.verification
-    with name_faults(name_data(data, folder) if data.actuators is None else folder / data.actuators):
-        check_range(poses.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, poses.names)
-        check_moves(poses.actuators[used])
-    from_targets = config.deformation.matrix == "targets"
+def _place_rows(columns: Array, at: Sequence[int], n: int) -> Array:
+    """Return columns (P, ...) as some of n rows, the others zero."""
+    placed = np.zeros((n, *columns.shape[1:]))
+    placed[list(at)] = columns
+    return placed
+
+
+def look_at_pads(config: StudyConfig, measured: Sequence[Measured], machine: ReadingModel) -> SeenPads | None:
+    """Return the targets that were measured on a mechanism, None without any; InputError for faults of those on pads.
+
+    Of several tables of targets the first counts.
+    """
+    legs, found = as_legs(machine), [one for one in measured if one.targets is not None]
+    if legs is None or not found:
+        return None
+    from_targets, first = config.deformation.matrix == "targets", found[0]
     needed = from_targets and any(one.deformation == "matrix" for one in config.variants)
-    where = str(folder / data.reference) if isinstance(data, TargetDataConfig) else "deformation.matrix"
-    found = SeenLegs(mechanism, measured, needed, from_targets, where)
-    with name_faults(name_data(data, folder)):
+    assert isinstance(first.data, TargetDataConfig)
+    reference = str(first.folder / first.data.reference)
+    seen = SeenPads(legs.machine.mechanism, first, needed, from_targets, reference)
+    with name_faults(first.folder / first.data.file):
         try:
-            _ = found.pads  # computed now, so that a fault of the targets on the pads shows at once
+            _ = seen.pads  # computed now, so that a fault of the targets on the pads shows at once
         except PoseInputError as error:
-            raise InputError(f"pose {poses.names[error.index]!r}: {error.fault}") from error
-    return found
+            raise InputError(f"pose {first.poses.names[error.index]!r}: {error.fault}") from error
+    return seen
