@@ -136,16 +136,16 @@ def _write(path: Path, kind: str, text: str, seed: int = 1) -> None:
 
 
 def _write_questions(
-    folder: Path, variant: str, next_pose: str, drift: str, files: Mapping[str, Sequence[str]]
+    folder: Path, variant: str, next_pose: str, drift: str, tables: Sequence[Mapping[str, str]]
 ) -> None:
     """Write what is asked of a study: the next pose, two sessions of every second of its rows each, a table."""
     (folder / "next_pose.toml").write_text(f'name = "next_pose"\ntitle = "Tiny"\nseed = 1\n{next_pose}')
     text = SESSIONS.format(variant=variant, drift=drift)
     for half in (0, 1):
         text += f'\n[[sessions]]\nlabel = "{half + 1}"\ntime_days = {30.0 * half}\n'
-        for key, names in files.items():
-            halves = [_halve(folder / name, half) for name in names]
-            text += f"{key} = {halves if key == 'readings' else halves[0]!r}\n".replace("'", '"')
+        halves = [{key: _halve(folder / name, half) for key, name in one.items()} for one in tables]
+        listed = ", ".join("{ " + ", ".join(f'{key} = "{name}"' for key, name in one.items()) + " }" for one in halves)
+        text += f"data = [{listed}]\n"
     _write(folder / "sessions.toml", "sessions", text)
     _write(folder / "table.toml", "table", TABLE.format(variant=variant))
 
@@ -191,7 +191,7 @@ class Readings:
         self.prepare(folder)
         drift = self.drift + ("\nscale_arcsec = 20.0" if self.turns else "\nscale_um = 20.0")
         asked = NEXT.format(variant="whole", required=self.required, limit=1.0) + "\n[candidates]\ncount = 20\n"
-        _write_questions(folder, "whole", asked, drift, {"readings": ["data/readings.csv"]})
+        _write_questions(folder, "whole", asked, drift, [{"file": "data/readings.csv"}])
         commands = folder / "results" / "machine" / "commands_whole.csv"
         return Written(folder, "whole", folder / "together.toml", commands, self.coordinates, self.verify)
 
@@ -356,7 +356,7 @@ def write_printer(folder: Path) -> Written:
     (folder / "together.toml").write_text(known + together + SAMPLER.format(steps=6))
     asked = NEXT.format(variant="rigid", required="x", limit=50.0) + "\n[candidates]\ncount = 20\n"
     tables = ["data/encoders.csv", "data/positions.csv"]
-    _write_questions(folder, "rigid", asked, 'symbols = ["R"]\nscale_um = 20.0', {"readings": tables})
+    _write_questions(folder, "rigid", asked, 'symbols = ["R"]\nscale_um = 20.0', [{"file": one} for one in tables])
     commands = folder / "results" / "machine" / "commands_rigid.csv"
     return Written(folder, "rigid", folder / "together.toml", commands, ("x_mm", "y_mm", "z_mm"))
 
@@ -373,7 +373,6 @@ poses = 15
 count = 16
 range_mm = {reach}
 """
-PLACES = ("targets", "actuators")
 INSTRUMENT = ("--position-um", 5, "--orientation-arcsec", 2, "--shift-um", 200)
 POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
@@ -381,8 +380,8 @@ POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 def _write_legs(folder: Path, variant: str, half: float, reach: float, more: str) -> Written:
     """Write what is asked of a study of legs that is there, and the same legs as a machine of readings."""
     asked = NEXT.format(variant=variant, required="z", limit=1.0) + ASKED_OF_LEGS.format(half=half, reach=reach)
-    files = {one: [f"data/{one}.csv"] for one in PLACES}
-    _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nseparate_by_leg = false', files)
+    tables = [{"file": "data/targets.csv", "actuators": "data/actuators.csv"}]
+    _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nseparate_by_leg = false', tables)
     general = Readings(
         'kind = "legs"\nname = "legs"\nmechanism = "mechanism.toml"\nmodel = "six_pus"\n',
         _noise({"rho": 1.0, **SEEN}, TURNED),

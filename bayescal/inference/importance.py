@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,8 @@ def smooth_weights(log_weights: Array) -> tuple[Array, float]:
 
     smoothed, pareto_k = log_weights, NO_PARETO
     if len(log_weights) >= FEWEST_WEIGHTS:
-        with np.errstate(all="ignore"):
+        found, k = log_weights, np.nan
+        with np.errstate(all="ignore"), suppress(ValueError):  # of a tail of equal weights
             found, k = array_stats.psislw(-log_weights)  # takes minus them, as log-likelihoods for LOO
         if np.isfinite(k) and np.isfinite(found).all():
             smoothed, pareto_k = found, float(k)

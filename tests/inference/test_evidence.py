@@ -256,6 +256,13 @@ def test_few_weights_are_said_to_have_no_tail(n):
     assert np.exp(smoothed).sum() == pytest.approx(1.0)
 
 
+def test_a_tail_of_equal_weights_is_no_fault():
+    """A density that is the same wherever it is looked at; no distribution can be fitted to its tail."""
+    smoothed, pareto_k = smooth_weights(np.concatenate([np.zeros(300), np.full(200, 1.0)]))
+    assert pareto_k > 0.7
+    assert np.exp(smoothed).sum() == pytest.approx(1.0)
+
+
 def test_a_component_without_weight_adds_nothing():
     two = MixtureProposal(np.array([1.0, 0.0]), np.array([[0.0], [5.0]]), np.ones((2, 1, 1)), 50.0)
     one = MixtureProposal(np.ones(1), np.zeros((1, 1)), np.ones((1, 1, 1)), 50.0)

@@ -319,6 +319,12 @@ class ErrorModel:
         return (*self.terms, self.outliers)
 
     @cached_property
+    def owners(self) -> tuple[ErrorTerm | None, ...]:
+        """The term of each of the k unknowns; None for those of the outliers."""
+        own = [one for one in self.terms for _ in one.names]
+        return (*own, *(None for _ in self.outliers.names))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the k unknowns."""
         return tuple(name for part in self._parts for name in part.names)

@@ -89,8 +89,8 @@ def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedIn
     """
     noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
     noises = [one for one in noises if one.gain + one.cost > -RIVAL_WITHIN_NAT]
-    terms, base = search.posterior.errors.terms, search.as_is
-    drawn = np.array([isinstance(one, RandomTerm) for one in terms for _ in one.names], dtype=bool)
+    base = search.as_is
+    drawn = np.array([isinstance(one, RandomTerm) for one in search.posterior.errors.owners], dtype=bool)
     if not noises or base is None or not drawn.any():
         return None
     weigh = base.weigher.weigh
@@ -113,8 +113,8 @@ def _find_taken_up(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedI
     tight = [one for one in tight if one.factor >= MAX_SIZE_RATIO and one.rms_without_model_error <= STATED]
     if not tight or base is None or search.rms_without_model_error <= STATED:
         return None
-    kinds = [(one.of_model and _adds(one), unit) for one in errors.terms for unit in one.units]
-    kinds += [(False, "")] * (len(base.zeta) - len(kinds))  # of outliers
+    owners = zip(errors.owners, errors.units, strict=True)
+    kinds = [(one is not None and one.of_model and _adds(one), unit) for one, unit in owners]
     mine = np.array([kind[0] for kind in kinds], dtype=bool)
     if not mine.any():  # no error of the model is there that could take up anything
         return None
@@ -216,8 +216,8 @@ def _list_excesses(
 ) -> list[_Excess]:
     """Return by what a fitted model error exceeds `MAX_SIZE_RATIO` times its prior, and requirements, or a share."""
     errors = search.posterior.errors
-    whose = [(one.of_model, unit) if _adds(one) else None for one in errors.terms for unit in one.units]
-    whose += [None] * (len(fit.zeta) - len(whose))  # of outliers
+    owners = zip(errors.owners, errors.units, strict=True)
+    whose = [None if one is None or not _adds(one) else (one.of_model, unit) for one, unit in owners]
     return [*_exceed_allowed(search, fit, whose, share), *_exceed_required(search, fit, whose, required, share)]
 
 

@@ -245,15 +245,18 @@ class WhitenedRows:
 
         A tolerance f times as large is its parameter's column once more, of the variance f² - 1, which may be negative.
         """
-        gains = self._gain(parameters, np.ones(len(parameters)), np.array(factors) ** 2 - 1.0)
+        gains = self._gain(parameters, np.ones(len(parameters)), np.array(factors) ** 2 - 1.0, most=1.0)
         best = int(np.argmax(gains))
         return float(gains[best] - np.log(len(factors))), float(factors[best])
 
-    def _gain(self, columns: np.ndarray, scale: Array, variance: Array) -> Array:
-        """Return by how much columns of some scale (k,) and each of some variances (T,) raise the log-density, (T,)."""
+    def _gain(self, columns: np.ndarray, scale: Array, variance: Array, most: float = np.inf) -> Array:
+        """Return by how much columns of some scale (k,) and each of some variances (T,) raise the log-density, (T,).
+
+        What rows tell of a column is at most so much: of one that is known already no more than there was to know.
+        """
         square, side, _ = self.reduced
         values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
-        values, along = np.maximum(values, 0.0), axes.T @ (scale * side[columns])
+        values, along = np.clip(values, 0.0, most), axes.T @ (scale * side[columns])
         some = variance[:, None]
         return np.asarray(0.5 * np.sum(some * along**2 / (1.0 + some * values) - np.log1p(some * values), axis=1))
 

@@ -86,6 +86,7 @@ MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
+CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which it is summed anew
 UNFIT = -1e9  # log-density of readings that no machine has at all
 FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried
@@ -416,9 +417,8 @@ class SlipSearch:
 
     def _silence(self, zeta: Array) -> Array:
         """Return coordinates (n,) of the errors with a model error that explains next to nothing."""
-        terms = self.posterior.errors.terms
-        of_model = np.array([one.of_model for one in terms for _ in one.names], dtype=bool)
-        of_model = np.pad(of_model, (0, len(zeta) - len(of_model)))
+        owners = self.posterior.errors.owners
+        of_model = np.array([one is not None and one.of_model for one in owners], dtype=bool)
         return np.where(of_model, np.minimum(zeta, QUIET), zeta)
 
     def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
@@ -428,7 +428,12 @@ class SlipSearch:
         n = white.rows.shape[1]
         size = np.sqrt(np.mean(white.rows[rows, :, -1] ** 2, axis=1))
         broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
-        return white.weigh(white.total - white.gram(rows), float(white.constant[kept].sum() + broad.sum()))
+        left = white.total - white.gram(rows)
+        if (
+            np.diagonal(left) < CANCELLED * np.diagonal(white.total)
+        ).any():  # nearly all of the sum: no digits are left
+            left = white.gram(kept)
+        return white.weigh(left, float(white.constant[kept].sum() + broad.sum()))
 
     def try_noise(
         self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
