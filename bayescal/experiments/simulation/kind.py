@@ -25,6 +25,7 @@ from bayescal.report.numbers import format_count
 from bayescal.report.row_tables import tabulate_rows
 
 KIND = "Simulation"
+MOST_TRIED = 100_000  # readings that are drawn before a run, to see that they can be
 TEXT = 30
 """Doubles that a simulated number takes, with the text of its line."""
 
@@ -43,8 +44,11 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
         return [config.machine]
 
     def read(self, config: SimulationConfig, folder: Path) -> Plan:
-        """Return the machine, its truth, its noise and where it is measured."""
-        return build_twin(config, folder) if config.sees_platform else plan_readings(config, folder)
+        """Return the machine, its truth, its noise and where it is measured; InputError for poses out of reach."""
+        found = build_twin(config, folder) if config.sees_platform else plan_readings(config, folder)
+        if found.n_poses * found.width <= MOST_TRIED:
+            found.simulate(np.random.default_rng(config.seed))  # drawn once more to be written: what fails shows now
+        return found
 
     def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
