@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -42,7 +43,15 @@ ADDED = {
 BROKEN = ("No kind of experiment imports another", "Computation imports no page", "Pages know results")
 
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
-SECTIONS = {"machine", "instrument", "error term", "page block", "sampler", "kind"}
+SECTIONS = {
+    "machine",
+    "instrument",
+    "reader of files in a form of your own",
+    "error term",
+    "page block",
+    "sampler",
+    "kind",
+}
 
 
 @pytest.mark.slow
@@ -124,6 +133,8 @@ def test_everything_that_contributing_shows_is_done(call, tmp_path, monkeypatch,
     found = tmp_path / "results"
     parameters = pd.read_csv(next((found / "arm_by_laser").rglob("parameters.csv")))
     assert "laser_zero" not in set(parameters["parameter"])  # known where it has no tolerance
+    rows = [json.loads((found / name / "summary.json").read_text())["n_poses"] for name in ("arm", "arm_by_logger")]
+    assert rows[1]["calibration"] == -(-rows[0]["calibration"] // 2)
     assert "vibration" in (found / "arm_that_shakes" / "report.html").read_text()
     report = (found / "arm_with_lengths" / "report.html").read_text()
     assert "Lengths of the links" in report

@@ -10,6 +10,7 @@ import pytest
 import telescope_machines as machines
 from scipy import integrate, stats
 
+from bayescal.density.calibration.terms import ErrorModel, ModelErrorTerm
 from bayescal.density.outliers import FREEDOM, NORMAL, WIDER, Contaminated, StudentT
 from bayescal.density.priors import SharePrior
 from bayescal.inference.mode import find_modes
@@ -226,3 +227,11 @@ def test_one_pose_a_millimetre_off_does_no_harm():
     assert plain > 3.0 * clean
     assert measure_error(build(poses, Contaminated(PRIOR)), twin) < 1.2 * clean
     assert suspect(twin, np.random.default_rng(1)).max() < 0.5
+
+
+def test_every_unknown_of_an_error_model_has_its_term():
+    """Outliers come last and belong to no term."""
+    own = ModelErrorTerm("motor", np.ones(2, dtype=bool), 1.0, "mm")
+    model = ErrorModel((own, own), Contaminated(SharePrior(0.1)))
+    assert len(model.owners) == len(model.names) == len(model.priors) == 3
+    assert model.owners == (own, own, None)
