@@ -293,7 +293,7 @@ def next_pose(
     Parameters
     ----------
     study : StudyResult
-        Of `calibrate`.
+        Of `calibrate` or `load_results`.
     requirements : mapping of str to float, optional
         By the tool's numbers: the largest error allowed anywhere in the workspace.
     candidates : int
@@ -306,7 +306,7 @@ def next_pose(
     Raises
     ------
     InputError
-        Of results that were loaded: ``bayescal next-pose`` takes their config.
+        Of results that keep no inputs, and for anything at fault.
 
     Examples
     --------

@@ -54,7 +54,7 @@ class LoadedResults:
     trust: bool = False  # whether the code of own classes that the results keep is run, trusted or not
     allow_unconverged: bool = False  # whether a posterior is used that did not converge
     allow_changed_files: bool = False  # whether files are taken that are not as they were written
-    made_of: StatedExperiment | None = None  # config and files that the results were made of, if they are kept
+    made_of: StatedExperiment | None = None  # what a call stated; of loaded results it is what these keep
 
     @property
     def folder(self) -> Path:
@@ -96,10 +96,13 @@ class LoadedResults:
 
     @property
     def stated(self) -> StatedExperiment:
-        """What the experiment was stated by; InputError for results whose files are not kept."""
-        if self.made_of is None:
-            raise InputError(f"{self.folder}: found loaded results, expected those of calibrate, audit or simulate")
-        return self.made_of
+        """What the experiment was stated by; InputError for results that keep no inputs."""
+        from bayescal.experiments.runner.kept_inputs import read_inputs
+
+        if self.made_of is not None:
+            return self.made_of
+        content, name, files = read_inputs(self.results)
+        return StatedExperiment(content, dict(files), file=name)
 
     def to_toml(self, folder: Path | str | None = None) -> str:
         """Return the config that gives these results; written with machine and readings to a folder if one is named."""

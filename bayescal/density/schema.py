@@ -83,7 +83,7 @@ class ModelErrorConfig(Section):
     Where their scales are not stated, a coarse machine has larger ones, by the noise of its own sensors.
     """
 
-    terms: TermNames = Field(default=list(TERMS), exclude_if=lambda value: value == ALONE)
+    terms: TermNames = Field(default=list(TERMS))
     """What it is made of, all where nothing is said: `random` (τ, another value at every pose), `linear` (in the
     positions of all actuators: a coupling), `positioning` (functions of the own position: a lead error, an eccentric
     encoder), `smooth` (any smooth function of all positions), `drift` (a random walk in measuring order); `[]` for

@@ -286,9 +286,7 @@ class AuditConfig(ExperimentConfig):
     """Noise of each channel, or of all of a kind; or by name sensors that see poses, or a part of them, with their
     kind.
     """
-    model_error: ExpectedErrorConfig = Field(
-        default=ExpectedErrorConfig(), exclude_if=lambda value: value == ExpectedErrorConfig(terms=ALONE)
-    )
+    model_error: ExpectedErrorConfig = ExpectedErrorConfig()
     """What the models leave out, beside the noise: the terms of a study that is silent on it where nothing is said."""
     units: UnitsConfig = UnitsConfig()
     """Units of tolerances, requirements and results."""
@@ -341,7 +339,8 @@ class AuditConfig(ExperimentConfig):
         """Sizes are those that a study found."""
         if not isinstance(content, dict) or content.get("data") is None:
             return content
-        if content.get("model_error", _ALONE) != _ALONE:
+        stated = content.get("model_error", _ALONE)
+        if stated != _ALONE and stated != ExpectedErrorConfig(terms=ALONE).model_dump():
             raise ValueError(f"model_error: found it with [data], expected none, or terms = {ALONE}")
         return content | {"model_error": _ALONE}
 

@@ -24,6 +24,7 @@ from bayescal.experiments.runner.blocks import CODE, PageBlock, add_blocks, find
 from bayescal.experiments.runner.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.runner.identity import describe_provenance, identify
 from bayescal.experiments.runner.interrupts import hold_lock
+from bayescal.experiments.runner.kept_inputs import CONFIG_FILE, keep_inputs
 from bayescal.experiments.runner.load import AnyExperiment, find_kind, load, read_inputs
 from bayescal.experiments.runner.losses import LOST_PARTS, Loss, attempt, list_losses, note_losses, record_losses
 from bayescal.experiments.runner.memory import GIB, MemoryEstimate, check_memory
@@ -155,8 +156,9 @@ def run_experiment(
                     progress.say(f"warning: {doubt}")
                 progress.say(_tell_effort(admitted, workers))
             results = _compute(admitted, Run(engine, store, progress))
-            provenance = describe_provenance(config, identity)
-            results = replace(results, files={**results.files, **admitted.code}, provenance=provenance)
+            place_of_config, kept = keep_inputs(config, folder, identity["files"])
+            provenance = {**describe_provenance(config, identity), CONFIG_FILE: place_of_config}
+            results = replace(results, files={**results.files, **admitted.code, **kept}, provenance=provenance)
             place = MemoryPath(config.name) if store is None else store.stage()
             page = _write(experiment, admitted.blocks, results, place, workers)
             if store is not None:

@@ -18,12 +18,14 @@ import sweeps
 import tiny_experiments
 from page_rules import check_findings, check_first_sight
 
+import bayescal as bc
 from bayescal.config.registry import list_references
 from bayescal.experiments import USES
 from bayescal.experiments.runner import memory
+from bayescal.experiments.runner.identity import hash_identity
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.results import read_results
-from bayescal.experiments.runner.run import run_experiment, write_report
+from bayescal.experiments.runner.run import prepare_run, run_experiment, write_report
 from bayescal.experiments.runner.store import Store
 from bayescal.files.manifest import MANIFEST
 from bayescal.files.rows import OTHERS
@@ -109,6 +111,16 @@ def finished(request, tmp_path_factory):
         patched.setattr("bayescal.report.page.render_picture", lambda draw: Picture(b"not drawn"))
         run(path, folder / "out")
     return request.param, path, folder / "out"
+
+
+def test_results_keep_what_gives_them_again(finished, tmp_path):
+    """The config and all files that it names, which written anew are the same experiment."""
+    _, _, out = finished
+    kept = bc.load_results(out, trust=True)
+    kept.to_toml(tmp_path)
+    path = tmp_path / kept.stated.file
+    again = prepare_run(load(path)[1], path.parent, 1).identity
+    assert hash_identity(again) == kept.results.provenance["config_sha256"]
 
 
 def run(path: Path, out: Path, **options):
