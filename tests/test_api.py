@@ -193,6 +193,14 @@ def test_the_next_pose_is_asked_of_what_was_calibrated(tmp_path):
     assert (asked.kind, bc.load_experiment(tmp_path / asked.study).kind) == ("next_pose", "study")
 
 
+@pytest.mark.usefixtures("search_little", "no_pictures")
+def test_the_next_pose_is_asked_of_results_loaded_later(delta):
+    asked = [
+        bc.next_pose(one, {"x": 0.05}, 12, quiet=True) for one in (delta, bc.load_results(delta.folder, trust=True))
+    ]
+    pd.testing.assert_frame_equal(*(one.tables["next_poses"] for one in asked))
+
+
 SCRIPT = """
 import numpy as np
 import bayescal as bc
