@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
@@ -12,7 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.experiments.runner.load import load_experiment
+from bayescal.config.registry import list_sources
+from bayescal.experiments.runner.kept_inputs import CONFIG_FILE, keep_inputs
+from bayescal.experiments.runner.load import load, load_experiment
 from bayescal.experiments.runner.results import Results, read_results
 from bayescal.experiments.runner.run import compute_experiment
 from bayescal.experiments.study.inputs import StudyInputs
@@ -268,6 +271,18 @@ def copy_small(config: Path, folder: Path) -> Path:
         text = re.sub(rf"^{key} = .*$", f"{key} = {value}", text, flags=re.MULTILINE)
     (folder / config.name).write_text(text)
     return folder / config.name
+
+
+def keep_committed(results: Path, config: Path) -> None:
+    """Put a config and the files that it names into results that were committed without them."""
+    experiment, found = load(config)
+    names = [*experiment.files(found, config.parent), *list_sources("KINDS", found.kind, config.parent)]
+    place, kept = keep_inputs(found, config.parent, names)
+    for name, one in kept.items():
+        (results / name).parent.mkdir(parents=True, exist_ok=True)
+        (results / name).write_text(one) if isinstance(one, str) else one(results / name)
+    provenance = json.loads((results / "provenance.json").read_text())
+    (results / "provenance.json").write_text(json.dumps({**provenance, CONFIG_FILE: place}))
 
 
 def list_errors(err: str) -> list[str]:

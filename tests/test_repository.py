@@ -139,5 +139,5 @@ def test_everything_that_contributing_shows_is_done(call, tmp_path, monkeypatch,
     report = (found / "arm_with_lengths" / "report.html").read_text()
     assert "Lengths of the links" in report
     assert "Lengths of the links" not in (found / "arm" / "report.html").read_text()
-    assert (found / "arm_with_lengths" / "code" / "lengths.py").is_file()
+    assert (found / "arm_with_lengths" / "inputs" / "lengths.py").is_file()
     assert "The largest standard deviation of an approach" in (found / "repeatability" / "report.html").read_text()

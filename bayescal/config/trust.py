@@ -162,22 +162,20 @@ def list_code(folder: Path) -> list[Path]:
     Nothing is imported for it.
     """
     found: dict[Path, None] = {}
-    for path in sorted([*folder.rglob("*.toml"), *folder.rglob("provenance.json")]):
-        kept = path.suffix == ".json"  # results hold the code of their kind and blocks in a folder of its own
+    for path in sorted(folder.rglob("*.toml")):  # results keep their config
         for name in _list_named(path):
-            file = path.parent / "code" / Path(name).name if kept else path.parent / name
-            if file.is_file() and file.resolve().is_relative_to(path.parent.resolve()):
+            file = path.parent / name
+            if file.is_file() and file.resolve().is_relative_to(folder.resolve()):
                 found |= dict.fromkeys([file.resolve(), *find_local_imports(file).values()])
     return list(found)
 
 
 def _list_named(path: Path) -> Iterator[str]:
-    """Yield the files of classes that a config or a provenance names."""
+    """Yield the files of classes that a config names."""
     import tomllib
 
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        waiting: list[Any] = [json.loads(text) if path.suffix == ".json" else tomllib.loads(text)]
+        waiting: list[Any] = [tomllib.loads(path.read_text(encoding="utf-8-sig"))]
     except (OSError, ValueError, RecursionError):  # whoever reads it says so
         return
     while waiting:

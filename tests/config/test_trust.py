@@ -203,11 +203,11 @@ def test_worker_processes_import_nothing_of_the_current_folder(tmp_path, mark):
 
 
 def test_what_is_trusted_is_what_configs_and_results_name(tmp_path):
-    for name in ("own.py", "helper.py", "unused.py", "results/code/kind.py", "results/code/other.py"):
+    for name in ("own.py", "helper.py", "unused.py", "results/inputs/kind.py", "results/inputs/other.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("import helper\n" if name == "own.py" else "raise RuntimeError\n")
     (tmp_path / "study.toml").write_text('a = [{ class = "own.py:Own" }]\nb = "no_such.py:Own"\n')
-    (tmp_path / "results" / "provenance.json").write_text('{"kind": "kind.py:Kind"}')
+    (tmp_path / "results" / "inputs" / "experiment.toml").write_text('kind = "kind.py:Kind"')
     (tmp_path / "broken.toml").write_text("=")
     assert {path.name for path in list_code(tmp_path)} == {"own.py", "helper.py", "kind.py"}
 

@@ -112,14 +112,8 @@ def test_what_there_is_no_memory_for_is_refused_by_both(ground, tmp_path, monkey
     assert hold_gate(looked, ran) == []
 
 
-@pytest.mark.parametrize("code", ["two files of a name", "none"])
-def test_code_that_results_cannot_keep_is_refused_before_computing(code, ground, tmp_path):
-    folder = ground.root / "sweep"
-    block = "from bayescal import PageBlock\n\n\nclass Mine(PageBlock):\n    def show(self, results): ...\n"
-    (folder / "mine").mkdir(exist_ok=True)
-    (folder / "block.py").write_text(block)
-    (folder / "mine" / "block.py").write_text(block + "# another\n")
-    blocks = ["block.py:Mine", "mine/block.py:Mine"] if code == "two files of a name" else ["absent.py:Mine"]
+def test_code_that_results_cannot_keep_is_refused_before_computing(ground, tmp_path):
+    folder, blocks = ground.root / "sweep", ["absent.py:Mine"]
     config = folder / "blocks.toml"
     config.write_text(f"page_sections = {blocks}\n" + (folder / "sweep.toml").read_text())
     looked, ran = judge_call(["validate", config]), judge_call(["run", config, "--out", tmp_path / "out", "--quiet"])

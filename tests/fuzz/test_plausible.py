@@ -121,6 +121,7 @@ def test_calibrations_that_all_fail_are_said(root, tmp_path):
 @pytest.mark.usefixtures("no_pictures")
 def test_table_that_lacks_rows_is_named(tmp_path, kept, command):
     folder = Path(shutil.copytree(RESULTS / "hexapod_figure10", tmp_path / "results"))
+    studies.keep_committed(folder, studies.EXPERIMENTS / "yu2023" / "figure10.toml")
     whole = frame.read_results(folder)
     rows = {name: len(whole.tables[Path(name).stem]) for name in whole.provenance["tables"]}
     frame.write_json(folder / "provenance.json", whole.provenance | {"table_rows": rows})

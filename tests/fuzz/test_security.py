@@ -11,6 +11,7 @@ from typing import Any
 import calibrations
 import pandas as pd
 import pytest
+import studies
 from fuzz.judged import judge_call, judge_refusal
 
 from bayescal.experiments.runner import run as frame
@@ -23,6 +24,8 @@ HOSTILE = (
     "\"'><script>document.title='EXECUTED'</script><img src=x onerror=\"document.title='EXECUTED'\">${{7*7}}{{7*7}}"
 )
 PAGES = ("hangprinter", "hexapod_figure10", "pose_extraction", "telescope")
+OWN_KINDS = {"hexapod_figure10": "yu2023/figure10.toml", "pose_extraction": "rr8096/figure5.toml"}
+"""Of results of kinds of their own, whose code they need for a page, the configs."""
 NAMED = ("title", "text", "platform", "python", "versions", "experiment", "machine", "source")
 KEPT = {
     "kind",
@@ -53,6 +56,8 @@ def poison(value: Any, key: str = "") -> Any:
 def write_hostile(name: str, folder: Path) -> Path:
     """Write results whose titles, origins, sources, and names of machines and poses are hostile."""
     found = Path(shutil.copytree(RESULTS / name, folder / name))
+    if name in OWN_KINDS:
+        studies.keep_committed(found, studies.EXPERIMENTS / OWN_KINDS[name])
     for file in ("provenance.json", "summary.json"):
         content = json.loads((found / file).read_text())
         for key in NAMED:

@@ -39,6 +39,14 @@ class Arm(bc.ReadingMachine):
         return np.stack(np.broadcast_arrays(q - parameters["q0"][..., 0], parameters["l"][..., 0] * np.cos(q)), axis=-1)
 
 
+class Logger(bc.TableReader):
+    """A logger that separates by semicolons."""
+
+    def read(self, path: Path) -> pd.DataFrame:
+        """Return its readings."""
+        return pd.read_csv(path, sep=";")
+
+
 class Gauge(bc.Instrument):
     """A dial gauge that reads the height of the tool above a plate."""
 

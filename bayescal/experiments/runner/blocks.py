@@ -10,13 +10,10 @@ from pathlib import Path
 
 from bayescal.config.registry import find_class, is_file, list_sources
 from bayescal.config.trust import check_same
-from bayescal.errors import InputError
+from bayescal.experiments.runner.kept_inputs import find_config
 from bayescal.experiments.runner.losses import attempt, note, note_losses
 from bayescal.experiments.runner.results import Results
 from bayescal.report.blocks import Page, PageSection
-
-CODE = "code"
-"""Folder of the results that keeps the code of a kind and of blocks in files of their own."""
 
 
 class PageBlock(ABC):
@@ -67,21 +64,10 @@ def _show(name: str, show: Callable[[], PageSection | None]) -> PageSection | No
     return PageSection(f"{name[0].upper()}{name[1:]}", tuple(one.say() for one in losses)) if kept else found
 
 
-def keep_code(folder: Path, kind: str, blocks: Iterable[str]) -> dict[str, str]:
-    """Return the files of a kind and of blocks in files of their own, as they are side by side, by names in results."""
-    kept: dict[str, str] = {}
-    for what, name in (("KINDS", kind), *(("BLOCKS", one) for one in blocks)):
-        files = [(folder / one).resolve() for one in list_sources(what, name, folder)]
-        for one in files:
-            place, text = f"{CODE}/{one.relative_to(files[0].parent).as_posix()}", one.read_text("utf-8")
-            if kept.setdefault(place, text) != text:
-                raise InputError(f"page_sections: found two files {one.name}, expected unique names")
-    return kept
-
-
-def find_kept(folder: Path, results: Results, what: str, name: str) -> str:
-    """Return where a user-defined class is in the code that results keep; InputError unless it is theirs."""
-    if is_file(name):  # as the results keep it
-        name = name[name.rfind("/", 0, name.index(":")) + 1 :]
-        check_same(folder / CODE, list_sources(what, name, folder / CODE), results.hashes)
-    return name
+def find_kept(results: Results, what: str, name: str) -> Path | None:
+    """Return the folder in which results keep a user-defined class; InputError unless it is theirs. None of others."""
+    if not is_file(name):
+        return None
+    folder = find_config(results).parent
+    check_same(folder, list_sources(what, name, folder), results.hashes)
+    return folder

@@ -43,6 +43,16 @@ def _write(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
+def find_config(results: Results) -> Path:
+    """Return where the config stands that results keep; InputError for results that keep none."""
+    assert results.folder is not None
+    parts = PurePosixPath(str(results.provenance.get(CONFIG_FILE, ""))).parts
+    path = results.folder.joinpath(*parts)
+    if parts[:1] != (INPUTS,) or ".." in parts or not path.is_file():
+        raise InputError(f"{results.folder}: found no inputs, expected results of a run that kept them")
+    return path
+
+
 def read_inputs(results: Results) -> tuple[dict[str, Any], str, Mapping[str, bytes]]:
     """Return the content of the config that results keep, its name, and the files that it names beside it.
 
@@ -51,10 +61,7 @@ def read_inputs(results: Results) -> tuple[dict[str, Any], str, Mapping[str, byt
     import tomllib
 
     assert results.folder is not None
-    root, file = results.folder / INPUTS, str(results.provenance.get(CONFIG_FILE, ""))
-    parts = PurePosixPath(file).parts
-    if parts[:1] != (INPUTS,) or ".." in parts or not (results.folder / file).is_file():
-        raise InputError(f"{results.folder}: found no inputs, expected results of a run that kept them")
-    name = str(PurePosixPath(file).relative_to(INPUTS))
+    root = results.folder / INPUTS
+    name = find_config(results).relative_to(root).as_posix()
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in sorted(root.rglob("*")) if one.is_file()}
     return tomllib.loads(files.pop(name).decode()), name, files

@@ -20,7 +20,7 @@ from bayescal.config.registry import hash_modules, list_sources
 from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import trusting
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
-from bayescal.experiments.runner.blocks import CODE, PageBlock, add_blocks, find_blocks, find_kept, keep_code
+from bayescal.experiments.runner.blocks import PageBlock, add_blocks, find_blocks, find_kept
 from bayescal.experiments.runner.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
 from bayescal.experiments.runner.identity import describe_provenance, identify
 from bayescal.experiments.runner.interrupts import hold_lock
@@ -100,7 +100,6 @@ class PreparedRun:
     inputs: Any  # what it computes with
     need: MemoryEstimate  # memory that it takes
     blocks: list[PageBlock]
-    code: dict[str, str]  # files of kind and blocks that results keep
     identity: dict[str, Any]  # what determines its results, ``files`` among it
 
 
@@ -121,7 +120,7 @@ def prepare_run(config: ExperimentConfig, folder: Path, workers: int) -> Prepare
         own = [("KINDS", config.kind), *(("BLOCKS", one) for one in config.page_sections)]
         sources = [file for what, name in own for file in list_sources(what, name, folder)]
         identity = identify(config, folder, [*experiment.files(config, folder), *sources], modules)
-    return PreparedRun(experiment, inputs, need, blocks, keep_code(folder, config.kind, config.page_sections), identity)
+    return PreparedRun(experiment, inputs, need, blocks, identity)
 
 
 def run_experiment(
@@ -158,7 +157,7 @@ def run_experiment(
             results = _compute(admitted, Run(engine, store, progress))
             place_of_config, kept = keep_inputs(config, folder, identity["files"])
             provenance = {**describe_provenance(config, identity), CONFIG_FILE: place_of_config}
-            results = replace(results, files={**results.files, **admitted.code, **kept}, provenance=provenance)
+            results = replace(results, files={**results.files, **kept}, provenance=provenance)
             place = MemoryPath(config.name) if store is None else store.stage()
             page = _write(experiment, admitted.blocks, results, place, workers)
             if store is not None:
@@ -373,10 +372,8 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
             check_results(folder, is_of_page)  # whole but for the page, which is about to be written
             results = read_results(folder, checked=False)
             experiment = find_results_kind(folder, results)
-            names = [
-                find_kept(folder, results, "BLOCKS", str(name)) for name in results.config.get("page_sections", [])
-            ]
-            blocks = find_blocks(names, folder, folder / CODE)
+            names = [str(name) for name in results.config.get("page_sections", [])]
+            blocks = [one for name in names for one in find_blocks([name], folder, find_kept(results, "BLOCKS", name))]
         known = list_losses(results.summary)
         with note_losses() as losses:
             page = _make_empty_page(results) if THE_PAGE in {one.what for one in known} else experiment.page(results)
@@ -404,7 +401,7 @@ def find_results_kind(folder: Path, results: Results) -> AnyExperiment:
         raise InputError(f"{folder}: provenance: found no kind of experiment")
     if ":" not in found:
         return find_kind(found, folder, None)
-    return find_kind(find_kept(folder, results, "KINDS", found), folder, folder / CODE)
+    return find_kind(found, folder, find_kept(results, "KINDS", found))
 
 
 def compare_results(folders: Sequence[Path], trust: bool = False) -> tuple[AnyExperiment, pd.DataFrame]:

@@ -86,7 +86,7 @@ MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
-CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which it is summed anew
+CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which the rows are summed
 UNFIT = -1e9  # log-density of readings that no machine has at all
 FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried

@@ -79,7 +79,7 @@ def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
     one, two = (read_all(tmp_path / f"out{n}") for n in (1, 2))
     assert one == two
     assert {"summary.json", "provenance.json", "report.html", "squares.csv", "notes/plain.txt"} <= set(one)
-    assert one["code/toy_kind.py"] == toys.KIND.encode()
+    assert one["inputs/toy_kind.py"] == toys.KIND.encode()
     provenance = json.loads(one["provenance.json"])
     assert set(provenance["files"]) == {"numbers.txt", "toy_kind.py"}
     (tmp_path / "out1" / "report.html").unlink()
@@ -95,10 +95,10 @@ def test_code_of_results_is_run_where_somebody_trusts_it(call, tmp_path, distrus
     path, out = toys.write_toy(tmp_path), tmp_path / "out"
     assert call("run", path, "--out", out, "--workers", 1, "--quiet", "--trust")[0] == 0
     for options, spoil, message in (
-        ((), "", f"kind: found 'toy_kind.py:Toy': code (toy_kind.py in {out}/code) that nobody has trusted"),
+        ((), "", f"kind: found 'toy_kind.py:Toy': code (toy_kind.py in {out}/inputs) that nobody has trusted"),
         (("--trust-code",), "# another", "toy_kind.py: differs"),
     ):
-        (out / "code" / "toy_kind.py").write_text(toys.KIND + spoil)
+        (out / "inputs" / "toy_kind.py").write_text(toys.KIND + spoil)
         code, _, complaint = call("report", out, *options)
         assert (code, complaint.count("\n")) == (2, 1)
         assert message in complaint
@@ -142,7 +142,7 @@ def test_blocks_of_a_file_are_on_the_page(call, tmp_path, request, monkeypatch):
     assert "KeyError: 'no such' (blocks.py," in page.replace("&#39;", "'")
     assert [one["what"] for one in json.loads(whole["summary.json"])["lost"]] == ["section 'Broken' of the page"]
     assert "Nothing" not in page.partition("blocks.py")[0]
-    assert whole["code/blocks.py"] == BLOCKS.encode()
+    assert whole["inputs/blocks.py"] == BLOCKS.encode()
     assert "blocks.py" in json.loads(whole["provenance.json"])["files"]
     (tmp_path / "blocks.py").unlink()
     request.getfixturevalue("distrust")

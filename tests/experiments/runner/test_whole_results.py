@@ -38,7 +38,7 @@ DAMAGES = {
     "provenance.json edited": lambda folder: edit(folder / "provenance.json", "seed", "Seed"),
     "squares.csv edited": lambda folder: edit(folder / "squares.csv", "1", "-1"),
     "squares.csv missing": lambda folder: (folder / "squares.csv").unlink(),
-    "code/toy_kind.py edited": lambda folder: edit(folder / "code" / "toy_kind.py", "class", "class "),
+    "inputs/toy_kind.py edited": lambda folder: edit(folder / "inputs" / "toy_kind.py", "class", "class "),
     "posterior/all.nc added": lambda folder: add(folder / "posterior" / "all.nc"),
     "calibrated.toml added": lambda folder: add(folder / "notes" / ".." / "calibrated.toml"),
     f"no {MANIFEST}": lambda folder: (folder / MANIFEST).unlink(),

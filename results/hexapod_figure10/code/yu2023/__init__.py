@@ -1,1 +1,0 @@
-"""Simulated calibrations of hexapods as in Yu, Wu and Wang (2023)."""
