@@ -65,9 +65,12 @@ def _show(name: str, show: Callable[[], PageSection | None]) -> PageSection | No
 
 
 def find_kept(results: Results, what: str, name: str) -> Path | None:
-    """Return the folder in which results keep a user-defined class; InputError unless it is theirs. None of others."""
+    """Return the folder in which results keep a user-defined class; InputError unless it is theirs.
+
+    Of one that stands in no file the folder of the results.
+    """
     if not is_file(name):
-        return None
+        return results.folder
     folder = find_config(results).parent
     check_same(folder, list_sources(what, name, folder), results.hashes)
     return folder

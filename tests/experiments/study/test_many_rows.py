@@ -181,7 +181,7 @@ def test_what_a_run_takes_is_said_where_it_is_much(seconds, gibibytes, expected)
             return seconds
 
     need = MemoryEstimate(gibibytes * GIB - MemoryEstimate().sum_up(2), sizes="rows")
-    assert frame._tell_effort(frame.PreparedRun(Long(), None, need, [], {}, {}), 2) == expected  # type: ignore[arg-type]
+    assert frame._tell_effort(frame.PreparedRun(Long(), None, need, [], {}), 2) == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.runs
