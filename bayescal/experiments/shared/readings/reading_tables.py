@@ -48,7 +48,7 @@ class PoseReadings:
         n, k = len(self.poses), len(model.channels)
         if list(at) == list(range(k)) and not model.given:
             return self
-        found = _make_empty(self.poses, model, self.correlation is not None)
+        found = _make_empty(self.poses, k, self.correlation is not None, model.given)
         found.verification[:] = self.verification
         found.values[:, at], found.sd[:, at], found.commanded[:, at] = self.values, self.sd, self.commanded
         if self.correlation is not None and found.correlation is not None:
@@ -85,11 +85,9 @@ class _Column:
     covariance: bool = False
 
 
-def _make_empty(
-    poses: Sequence[str], model: ReadingModel, is_correlated: bool, given: Sequence[str] | None = None
-) -> PoseReadings:
-    """Return P poses of which nothing is read."""
-    n, k = len(poses), len(model.channels)
+def _make_empty(poses: Sequence[str], k: int, is_correlated: bool, given: Sequence[str]) -> PoseReadings:
+    """Return P poses at which nothing is read of K channels."""
+    n = len(poses)
     return PoseReadings(
         tuple(poses),
         np.zeros(n, dtype=bool),
@@ -97,7 +95,7 @@ def _make_empty(
         np.full((n, k), np.nan),
         np.tile(np.eye(k), (n, 1, 1)) if is_correlated else None,
         np.zeros((n, k), dtype=bool),
-        {name: np.full(n, np.nan) for name in (model.given if given is None else given)},
+        {name: np.full(n, np.nan) for name in given},
     )
 
 
@@ -111,7 +109,8 @@ def join_readings(blocks: Sequence[PoseReadings], model: ReadingModel, path: Pat
     poses = list(dict.fromkeys(name for one in blocks for name in one.poses))
     places = {name: row for row, name in enumerate(poses)}
     given = list(dict.fromkeys(name for one in blocks for name in one.given))
-    found = _make_empty(poses, model, any(one.correlation is not None for one in blocks), given)
+    is_correlated = any(one.correlation is not None for one in blocks)
+    found = _make_empty(poses, len(model.channels), is_correlated, given)
     for one in blocks:
         rows = np.array([places[name] for name in one.poses])
         found.verification[rows] |= one.verification
@@ -166,16 +165,8 @@ def read_tables(
     tables = [_check(table, known, channels, one) for table, one in zip(read, sections, strict=True)]
     is_correlated = any(name in known and known[name].role == "corr" for one in tables for name in one.columns)
     poses = list(dict.fromkeys(name for table in tables for name in table.text("pose")))
-    places, n, k = {name: row for row, name in enumerate(poses)}, len(poses), len(channels)
-    found = PoseReadings(
-        tuple(poses),
-        np.zeros(n, dtype=bool),
-        np.full((n, k), np.nan),
-        np.full((n, k), np.nan),
-        np.tile(np.eye(k), (n, 1, 1)) if is_correlated else None,
-        np.zeros((n, k), dtype=bool),
-        {name: np.full(n, np.nan) for name in given},
-    )
+    places = {name: row for row, name in enumerate(poses)}
+    found = _make_empty(poses, len(channels), is_correlated, given)
     for table, one in zip(tables, sections, strict=True):
         _fill(found, table, known, channels, [places[name] for name in pose_names(table)], one)
     if alone:
