@@ -140,6 +140,7 @@ def run_experiment(
     with threadpool_limits(1):
         admitted = prepare_run(config, folder, workers if scheduler is None else 0)
         experiment, identity = admitted.experiment, admitted.identity
+        place_of_config, kept = keep_inputs(config, folder, identity["files"])  # as they are now
         store = None if out is None else Store(out, again=experiment.asked_again)
         if store is not None:
             store.check(identity, resume)
@@ -155,7 +156,6 @@ def run_experiment(
                     progress.say(f"warning: {doubt}")
                 progress.say(_tell_effort(admitted, workers))
             results = _compute(admitted, Run(engine, store, progress))
-            place_of_config, kept = keep_inputs(config, folder, identity["files"])
             provenance = {**describe_provenance(config, identity), CONFIG_FILE: place_of_config}
             results = replace(results, files={**results.files, **kept}, provenance=provenance)
             place = MemoryPath(config.name) if store is None else store.stage()

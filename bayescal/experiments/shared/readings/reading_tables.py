@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from bayescal.config.classes import choose, name_failures
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, read_rotation_vectors
+from bayescal.data.reader import TableReader, read_with
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.data_schema import OwnDataConfig, ReadingsTable
-from bayescal.experiments.shared.readings.reader import read_own_table
 from bayescal.experiments.shared.rows import USES
 from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.machines.readings import Channel, ReadingModel
@@ -176,8 +177,12 @@ def read_tables(
 
 def _read(section: ReadingsTable, folder: Path) -> CsvTable:
     """Return a table as its file has it, or as a reader of somebody else makes it of the file."""
-    path = folder / section.file
-    return read_own_table(section, path, folder) if isinstance(section, OwnDataConfig) else read_table(path, None)
+    path, field = folder / section.file, "data.kind"
+    if not isinstance(section, OwnDataConfig):
+        return read_table(path, None)
+    choice = choose("READERS", section.kind, TableReader, field, folder, section.options)  # type: ignore[type-abstract]
+    with name_failures(choice.found, field):
+        return read_with(choice.found(choice.options), path)
 
 
 def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Channel]) -> CsvTable:
