@@ -14,6 +14,7 @@ from experiments.runner import toys
 from studies import edit
 
 import bayescal as bc
+from bayescal.experiments.runner import run as frame
 from bayescal.files.manifest import MANIFEST, check_whole, write_manifest
 
 pytestmark = pytest.mark.usefixtures("voice")
@@ -142,3 +143,18 @@ def test_looking_costs_little(tmp_path):
     began = time.process_time()
     check_whole(tmp_path, expected=True)
     assert time.process_time() - began < 0.02
+
+
+def test_inputs_are_kept_as_they_were_read(tmp_path, monkeypatch):
+    """A file that somebody changes while a run computes is none of the run's."""
+    path, compute = toys.write_toy(tmp_path), frame._compute
+    before = (tmp_path / "numbers.txt").read_bytes()
+
+    def change(*arguments):
+        (tmp_path / "numbers.txt").write_text("7\n")
+        return compute(*arguments)
+
+    monkeypatch.setattr(frame, "_compute", change)
+    bc.run_experiment(path, tmp_path / "out", quiet=True)
+    assert (tmp_path / "numbers.txt").read_bytes() != before
+    assert (tmp_path / "out" / "inputs" / "numbers.txt").read_bytes() == before
