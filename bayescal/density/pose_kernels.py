@@ -46,7 +46,7 @@ MOST_CHOSEN = 200  # poses whose values tell of smooth functions everywhere
 MIN_VARIANCE = 1e-12  # of a variance, which is taken for zero
 WAVE = 0.25  # ranges: length L of waves of the own position
 PERIOD = 2.5  # ranges in which waves of few columns repeat: those of two poses are at most one range apart
-N_RATES = 7
+N_RATES = 9
 OWN_COLUMNS: Final = 2 + 2 * N_RATES
 AT_ONCE = 2048  # poses at which smooth functions are evaluated together
 

@@ -40,19 +40,21 @@ def _stop(*_: object) -> None:
 
 
 @contextlib.contextmanager
-def _in_time(seconds: float | None) -> Iterator[None]:
-    """Stop after so many seconds of the processor; of the clock where none are said."""
-    which, alarm = (signal.ITIMER_REAL, signal.SIGALRM) if seconds is None else (signal.ITIMER_PROF, signal.SIGPROF)
-    before = signal.signal(alarm, _stop)
-    signal.setitimer(which, SECONDS if seconds is None else seconds)
+def _in_time(seconds: float) -> Iterator[None]:
+    """Stop after so many seconds of the processor, and after ten times as many of the clock, where a call waits."""
+    timers = ((signal.ITIMER_PROF, signal.SIGPROF, seconds), (signal.ITIMER_REAL, signal.SIGALRM, 10.0 * seconds))
+    before = [signal.signal(alarm, _stop) for _, alarm, _ in timers]
+    for which, _, most in timers:
+        signal.setitimer(which, most)
     try:
         yield
     finally:
-        signal.setitimer(which, 0.0)
-        signal.signal(alarm, before)
+        for (which, alarm, _), former in zip(timers, before, strict=True):
+            signal.setitimer(which, 0.0)
+            signal.signal(alarm, former)
 
 
-def judge_call(arguments: list[object], *watched: Path, seconds: float | None = None) -> Outcome:
+def judge_call(arguments: list[object], *watched: Path, seconds: float = SECONDS) -> Outcome:
     """Call the command line and look for faults.
 
     In the watched folders nothing may have changed after exit code 2, and nothing else than what the call is about
@@ -75,7 +77,7 @@ def judge_call(arguments: list[object], *watched: Path, seconds: float | None = 
         except SystemExit as error:
             code = error.code if isinstance(error.code, int) else 1
         except TooLongError:
-            raised = f"no end within {seconds or SECONDS:g} s: " + traceback.format_exc(limit=-3)
+            raised = f"no end within {seconds:g} s: " + traceback.format_exc(limit=-3)
         except BaseException:  # whatever it is, a user would see a traceback
             raised = traceback.format_exc(limit=-4)
         finally:

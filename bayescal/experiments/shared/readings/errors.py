@@ -22,6 +22,7 @@ from bayescal.density.calibration.model_error import (
 )
 from bayescal.density.calibration.terms import ErrorModel, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
+from bayescal.density.pose_kernels import OWN, OWN_COLUMNS
 from bayescal.density.priors import Prior
 from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
 from bayescal.errors import InputError, name_faults
@@ -139,7 +140,8 @@ def build_terms_of_model(
     others : Errors
         What else the readings err by: beside outliers, and other functions, coefficients are integrated out one by one.
     few : bool, optional
-        Whether functions are made of few columns; by default where there are many rows.
+        Whether functions are made of few columns; by default where there are many rows, or where few columns leave
+        nothing out and are fewer than half of the equations.
 
     Raises
     ------
@@ -156,6 +158,7 @@ def build_terms_of_model(
     lengths = {name for name, unit in zip(model.layout.names, model.layout.units, strict=True) if unit == "mm"}
     check_floors(floors, [prior.sd for name, prior in tolerances.items() if name in lengths])
     there = [name for name in terms if name not in missing]
+    n_equations = data.n_poses * (len(model.channels) - len(model.coordinates))
     left = build_model_error(
         own,
         len(model.channels),
@@ -163,7 +166,7 @@ def build_terms_of_model(
         error.scales(own.find_noise(data)),
         {name: MICROMETRE * floor for name, floor in floors.items()},
         error.separate_by_leg,
-        few=data.n_poses * (len(model.channels) - len(model.coordinates)) > MOST_ROWS if few is None else few,
+        few=_suits_few(there, len(own.places), n_equations) if few is None else few,
     )
     without = [([name for name, why in missing.items() if why == one], one) for one in dict.fromkeys(missing.values())]
     said = [f"no term{'s' * (len(names) > 1)} {', '.join(names)}, as {why}" for names, why in without]
@@ -171,6 +174,14 @@ def build_terms_of_model(
     if known and {"linear", "positioning"} & {*there}:
         said.append(f"no error linear in the own position of {', '.join(known)}, as {COVERED_BY}")
     return left, f"the model error has {' and '.join(said)}" if said else ""
+
+
+def _suits_few(terms: Sequence[str], n_own: int, n_equations: int) -> bool:
+    """Return whether functions of so many own channels are made of few columns: their density then costs less."""
+    if n_equations > MOST_ROWS:
+        return True
+    columns = {"random": 0, "linear": n_own**2, OWN: n_own * OWN_COLUMNS}  # of others few columns leave something out
+    return set(terms) <= set(columns) and sum(columns[name] for name in terms) < n_equations / 2
 
 
 def find_own_channels(
