@@ -20,7 +20,7 @@ from bayescal.density.calibration.model_error import OwnChannelRows, RandomTerm,
 from bayescal.density.calibration.terms import NO_ERRORS, ErrorModel, ErrorTerm
 from bayescal.density.outliers import NORMAL, Outliers
 from bayescal.density.priors import NormalPrior, Prior
-from bayescal.experiments.shared.leg_readings import place_legs
+from bayescal.experiments.shared.pose_readings import build_pose_readings
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import DEFORMATIONS, Deformation, NominalDeformation
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
@@ -252,7 +252,7 @@ def measure(
     noise: float = ACTUATOR_NOISE,
 ) -> CalibrationPosterior:
     """Return the posterior of a machine on legs by poses measured of it."""
-    found = place_legs(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
+    found = build_pose_readings(Legs(machine), poses, noise, priors, errors, fixed or {}).posterior
     return replace(found, likelihood=replace(found.likelihood, straight=True))
 
 

@@ -354,12 +354,12 @@ def _read_errors(config: ErrorsConfig, folder: Path, model: ReadingModel, theta:
             raise InputError(f"{folder / CALIBRATED}: errors.correlation: expected shape {n} by {n}")
         noise = correlation * np.outer(sd, sd)
         check_covariance(folder / CALIBRATED, model.commanded, noise)
-    if not isinstance(model, Legs):
+    if (legs := model.legs) is None:
         return CommandErrors(noise, variance)
     covariance = None
     if config.matrix_covariance is not None:
-        covariance = read_matrix_covariance(folder / config.matrix_covariance, model.n_legs)
-    return LegErrors(noise, variance, model, theta, covariance)
+        covariance = read_matrix_covariance(folder / config.matrix_covariance, legs.n_legs)
+    return LegErrors(noise, variance, legs, theta, covariance)
 
 
 def _read_covariance(folder: Path, name: str | None) -> tuple[tuple[str, ...], Array | None]:

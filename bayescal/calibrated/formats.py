@@ -23,7 +23,6 @@ from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.six_ups import SixUps
-from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 
 UNITS = {"1": "", "mm": "_mm", "rad": "_rad", "N": "_n", "N mm2": "_n_mm2"}
@@ -41,7 +40,7 @@ MECHANISM, PARAMETERS = "mechanism", "parameters"
 
 def list_parameter_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return parameters with covariance as TOML and JSON; of a machine of functions what `read_exported` takes, too."""
-    own = {} if isinstance(calibrated.model, Legs) else list_function_files(calibrated)
+    own = {} if calibrated.model.legs else list_function_files(calibrated)
     return own | list_toml_files(calibrated) | list_json_files(calibrated)
 
 
@@ -51,14 +50,14 @@ def list_csv_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     Of another machine nothing: its parameters and their covariance are in tables with every format.
     """
     model = calibrated.model
-    if not isinstance(model, Legs):
+    if model.legs is None:
         return {}
     layout, theta = model.layout, calibrated.theta
-    columns, values = ["leg"], [[leg + 1 for leg in range(model.n_legs)]]
+    columns, values = ["leg"], [[leg + 1 for leg in range(model.legs.n_legs)]]
     for block in layout.blocks:
         columns.append(f"{block.symbol}{UNITS.get(block.unit, '')}")
         own = [repr(float(value)) for value in layout.take(theta, block.symbol)]
-        values.append(own if block.per_leg else own * model.n_legs)  # type: ignore[arg-type]  # cells of any kind
+        values.append(own if block.per_leg else own * model.legs.n_legs)  # type: ignore[arg-type]  # cells of any kind
     text = format_table(calibrated.source.describe(), columns, list(zip(*values, strict=True)))
     return {"legs.csv": text.encode()}
 
@@ -87,7 +86,7 @@ def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
             "problems": list(source.problems),
             **({"solution": source.solution} if source.solution else {}),
         },
-        **(_describe_legs(model.machine) if isinstance(model, Legs) else {}),
+        **(_describe_legs(model.legs.machine) if model.legs else {}),
         "commanded": list(model.commanded),
         "tool": [f"{one.name} [{one.unit}]" for one in model.tool_channels],
         "parameters": {
@@ -293,7 +292,7 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     >>> sorted(path.name for path in bc.export_machine(calibrated, Path("machines/delta"), "csv"))
     [...'covariance.csv'...]
     """
-    drawn = isinstance(calibrated.model, Legs) and not find_export_obstacle(calibrated.legs)
+    drawn = calibrated.model.legs is not None and not find_export_obstacle(calibrated.legs)
     chosen = look_up(FORMATS, name or (MECHANISM if drawn else PARAMETERS), "--format")
     files = chosen(calibrated) | list_posterior_files(calibrated)
     make_directory(folder)

@@ -311,9 +311,9 @@ class CalibratedMachine:
     @property
     def legs(self) -> Machine:
         """The machine on legs; InputError where it is none."""
-        if not isinstance(self.model, Legs):
+        if self.model.legs is None:
             raise InputError(f"machine {self.name!r}: found no legs, expected a mechanism")
-        return self.model.machine
+        return self.model.legs.machine
 
     @cached_property
     def commanded(self) -> np.ndarray:
@@ -397,9 +397,9 @@ def build_calibrated(
 
     One with errors of its legs' closures is settled where drawings hold its kinematics; these errors are then its own.
     """
-    if isinstance(model, Legs) and isinstance(errors, LegErrors):
-        legs = Legs(model.machine, has_gains=model.has_gains)
-        if not find_export_obstacle(model.machine):
+    if (alone := model.legs) is not None and isinstance(errors, LegErrors):
+        legs = Legs(alone.machine, has_gains=alone.has_gains)
+        if not find_export_obstacle(legs.machine):
             settled = settle_legs(legs, theta)
             draws = None if draws is None else express_parameters(legs, settled, draws)
             legs, theta = settled, settled.layout.nominal

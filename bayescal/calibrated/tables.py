@@ -15,11 +15,11 @@ import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import PoseCommands, PosePrediction, is_pose
-from bayescal.data.actuators import check_range
+from bayescal.data.actuators import check_travel
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import CsvTable, format_table, read_table
-from bayescal.machines.readings import Channel, Coordinate, Legs
+from bayescal.machines.readings import Channel, Coordinate
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
 
@@ -165,9 +165,7 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
     with name_faults(path):
-        if isinstance(model, Legs):
-            mechanism = model.machine.mechanism
-            check_range(commands, mechanism.initial_actuator_positions, mechanism.actuator_range, names)
+        check_travel(commands, model.command_range, channels, names)
     return names, commands, read_given(table, model.given)
 
 
@@ -245,9 +243,8 @@ def format_prediction(
             sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
             cells = np.concatenate([cells, sd], axis=1)
         rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
-    about = "Predicted coordinates." if whole else "Predicted tool (tool_...) and coordinates."
-    if isinstance(model, Legs):
-        about = "Predicted platform pose in the base frame; mm, rotation vector in degrees."
+    about = "Predicted coordinates" if whole else "Predicted tool (tool_...) and coordinates"
+    about += ", base frame; rotation vector in degrees." if model.tool_turned else "."
     comments = [
         *calibrated.source.describe(),
         about,

@@ -267,11 +267,11 @@ def verify(
         describe_reverification,
         expect_readings,
         format_plan,
+        is_read_by_pose,
         list_candidates,
         plan_reverification,
     )
     from bayescal.calibrated.verify.statistics import choose_suspects, judge_reverification
-    from bayescal.machines.readings import Legs
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
     calibrated = options.load(results, with_instruments=True)
@@ -279,12 +279,12 @@ def verify(
         raise InputError(f"{results}: found no posterior draws, expected posterior/*.nc")
     check_out(out)
     suspects = choose_suspects(calibrated, parameters or [])
-    legs = isinstance(calibrated.model, Legs)
-    stated = _find_stated(results, position_um, orientation_arcsec) if legs else None
+    by_pose = is_read_by_pose(calibrated)
+    stated = _find_stated(results, position_um, orientation_arcsec) if by_pose else None
     if measured:
         lines, read = [], []
         for path in measured:
-            if legs:
+            if by_pose:
                 said, session = _read_poses(path, actuators, stated, calibrated)
                 lines += said
             else:
@@ -294,7 +294,7 @@ def verify(
             lines += describe_reverification(judge_reverification(calibrated, suspects, read, false_alarm, sessions))
         put("".join(f"{line}\n" for line in lines), out)
         return
-    if legs:
+    if by_pose:
         planned = _plan_poses(results, stated, noise_from, calibrated)
     else:
         sd = _find_noise(calibrated, noise_from, sensors)
@@ -350,7 +350,7 @@ def _demand(
     return VerificationGoal(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
 
 
-# --- legs ----------------------------------------------------------------------------------------------------------
+# --- poses ---------------------------------------------------------------------------------------------------------
 
 
 def _read_poses(
@@ -359,7 +359,7 @@ def _read_poses(
     """Return what is wrong with a session's measured poses, in lines, and the poses."""
     from bayescal.calibrated.verify.plan import has_noise, place_poses, read_session
     from bayescal.data.instruments.read_poses import PoseNoise
-    from bayescal.experiments.shared.leg_readings import find_reverification_slip
+    from bayescal.experiments.shared.pose_readings import find_reverification_slip
 
     noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
     read = read_session(path, actuators, noise, calibrated)

@@ -29,7 +29,7 @@ from bayescal.calibrated.verify.statistics import (
 )
 from bayescal.data.actuators import name_actuators
 from bayescal.data.measured_poses import MeasuredPoses
-from bayescal.experiments.shared.leg_readings import find_reverification_slip
+from bayescal.experiments.shared.pose_readings import find_reverification_slip
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine, solve_forward_kinematics
 from bayescal.machines.models.six_pus import SixPus

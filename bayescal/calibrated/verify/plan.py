@@ -25,7 +25,7 @@ from bayescal.calibrated.verify.statistics import (
     say_shift,
     say_size,
 )
-from bayescal.data.actuators import check_range, name_actuators
+from bayescal.data.actuators import check_travel, choose_columns
 from bayescal.data.instruments.read_poses import (
     DEVIATIONS,
     UNITS,
@@ -40,7 +40,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, Legs, as_legs, locate_tool
+from bayescal.machines.readings import POSE, Given, Legs, locate_tool
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -90,7 +90,7 @@ def list_candidates(calibrated: CalibratedMachine, share: float) -> tuple[Array,
     about home. Any other machine's hold such poses of its workspace, and random ones where these are few; one without
     coordinates has the rows that calibrated it.
     """
-    legs = as_legs(calibrated.model)
+    legs = calibrated.model.legs
     if legs is None:
         return _cover_workspace(calibrated, share)
     mechanism = legs.machine.mechanism
@@ -229,7 +229,14 @@ class _Choice:
         return chosen, test, power
 
 
-# --- measured poses of legs ----------------------------------------------------------------------------------------
+# --- measured poses ------------------------------------------------------------------------------------------------
+
+
+def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
+    """Return whether an instrument measures the machine's pose, which its coordinates are, and nothing else."""
+    model = calibrated.model
+    places = [one.name for one in model.coordinates]
+    return model.reads_pose and places == list(POSE) and list(model.names) == [*model.commanded, *POSE]
 
 
 def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
@@ -251,13 +258,14 @@ def read_mean_covariance(path: Path) -> Array:
 
 
 def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurements:
-    """Return a row that says that a pose of a machine on legs is measured, with a covariance (6, 6), mm and rad."""
-    n_legs = len(calibrated.commanded)
-    return place_poses(("plan",), np.zeros((1, n_legs)), np.zeros((1, DEGREES_OF_FREEDOM)), covariance[None])
+    """Return a row that says that a pose is measured, with a covariance (6, 6), mm and rad."""
+    return place_poses(
+        ("plan",), np.zeros((1, len(calibrated.commanded))), np.zeros((1, DEGREES_OF_FREEDOM)), covariance[None]
+    )
 
 
 def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covariance: Array) -> Measurements:
-    """Return poses (P, 6) measured at actuator positions (P, N), mm and rad, as readings of legs.
+    """Return poses (P, 6), mm and rad, measured at positions (P, N) of the commanded channels, as readings.
 
     Values are NaN where not measured; the covariance (P, 6, 6) is that of what is measured.
     """
@@ -283,14 +291,13 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
 
     InputError for anything at fault in the tables, a rotation that is measured in part, and positions out of range.
     """
-    machine = calibrated.legs
-    mechanism = machine.mechanism
-    readings, _ = read_poses(path, actuators, noise, name_actuators(mechanism.n_legs))
+    channels = calibrated.command_channels
+    readings, _ = read_poses(path, actuators, noise, choose_columns(channels, path if actuators is None else actuators))
     turned = np.isfinite(readings.values[:, 3:])
     for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
         raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
     with name_faults(path if actuators is None else actuators):
-        check_range(readings.actuators, mechanism.initial_actuator_positions, mechanism.actuator_range, readings.names)
+        check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names)
     check_units(locate_tool(calibrated.model, readings.actuators), readings, path)
     return readings
 
@@ -348,7 +355,7 @@ def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: 
     """Return a plan as CSV text: the poses of one session, the one that shows most first."""
     channels = calibrated.command_channels
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
-    if isinstance(calibrated.model, Legs):
+    if is_read_by_pose(calibrated):
         how = [
             "Measure the platform pose, base frame: pose, x_mm, y_mm, z_mm,",
             f"rx_deg, ry_deg, rz_deg; {back}",

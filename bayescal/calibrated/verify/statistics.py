@@ -30,7 +30,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.linear_gaussian import whiten
 from bayescal.errors import InputError
-from bayescal.machines.readings import Given, Legs
+from bayescal.machines.readings import Given
 from bayescal.machines.readings.base import Function, solve
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
@@ -70,8 +70,7 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Tes
     """
     model = calibrated.model
     layout = model.layout
-    if not wanted and isinstance(model, Legs) and LENGTH in layout.index:
-        wanted = [LENGTH]
+    wanted = wanted or [symbol for symbol in model.shifting if symbol in layout.index]
     for name in wanted:
         if name not in layout.symbols and name not in layout.names:
             raise InputError(f"verify: found {name!r}, expected some of {', '.join(layout.symbols)}, or a name")
@@ -80,10 +79,10 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Tes
     if not names:
         raise InputError("verify: found no free parameter, expected --parameters")
     places = np.array([layout.names.index(name) for name in names])
-    lengths = isinstance(model, Legs) and list(wanted) == [LENGTH]
-    called = tuple(f"{model.member} {n.partition('[')[2].rstrip(']')}" if lengths else n for n in names)
+    one_each = bool(wanted) and list(wanted) == list(model.shifting)
+    called = tuple(f"{model.member} {n.partition('[')[2].rstrip(']')}" if one_each else n for n in names)
     units = tuple(layout.units[k] for k in places)
-    return TestedParameters(called, places, units, model.member if lengths else "parameter", bool(wanted))
+    return TestedParameters(called, places, units, model.member if one_each else "parameter", bool(wanted))
 
 
 def say_size(value: float, unit: str) -> str:

@@ -32,7 +32,6 @@ from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import compare_kept, compare_with_prediction
 from bayescal.identifiability.profile import Profile, compute_profile
 from bayescal.identifiability.requirements import DRAWS
-from bayescal.machines.readings import InstrumentedMachine, Legs
 from bayescal.numerics.geometry import Array
 
 PROFILES = 4  # where the design names none
@@ -100,12 +99,11 @@ def choose_best(audits: Mapping[str, AuditOutcome]) -> str:
 def tabulate_machine(inputs: DesignVariant) -> dict[str, pd.DataFrame]:
     """Return where the joints of a machine on legs stand at the planned poses; nothing of other machines."""
     variant, model = inputs.variant, inputs.variant.whole
-    whole = model.whole if isinstance(model, InstrumentedMachine) else model
-    if not isinstance(whole, Legs):
+    if model.legs is None:
         return {}
     read = model.read(model.layout.nominal, variant.start, variant.data.given)
     actuators = read[:, model.select(model.commanded)]
-    return {"joints": tabulate_joints(whole.machine.mechanism, actuators, variant.data.poses)}
+    return {"joints": tabulate_joints(model.legs.machine.mechanism, actuators, variant.data.poses)}
 
 
 def _draw_ridges(

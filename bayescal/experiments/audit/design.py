@@ -28,7 +28,7 @@ from bayescal.experiments.shared.requirements import read_requirements
 from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.reading_rows import typical_given
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.readings import Legs, PoseInstrument, ReadingModel, place
+from bayescal.machines.readings import PoseInstrument, ReadingModel, place
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
@@ -67,7 +67,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         with name_faults("" if one is config.variants[0] else f"variant {one.name!r}"):
             if (key := (one.model, one.deformation)) not in models:
                 whole = read_model(config, one, path, folder)
-                symbols |= known_symbols(whole.machine.mechanism) if isinstance(whole, Legs) else set()
+                symbols |= known_symbols(whole.legs.machine.mechanism) if whole.legs else set()
                 models[key] = place(whole, instruments)
     symbols |= {symbol for model in models.values() for symbol in model.layout.symbols}
     model = next(iter(models.values()))

@@ -26,7 +26,7 @@ from bayescal.experiments.shared.slips import FoundSlip
 from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actuators
 from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
 from bayescal.identifiability.requirements import Requirement
-from bayescal.machines.readings import Channel, Coordinate, Given, Legs, ReadingModel, as_legs
+from bayescal.machines.readings import Channel, Coordinate, Given, Legs, ReadingModel
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
@@ -85,7 +85,7 @@ def read_next_pose(config: NextPoseConfig, folder: Path) -> NextPoseInputs:
     n = there if config.n_first_poses is None else config.n_first_poses
     if n > there:
         raise InputError(f"n_first_poses: found {n}, expected at most {there}")
-    legs = as_legs(first.posterior.likelihood.model)
+    legs = first.posterior.likelihood.model.legs
     if legs is None:
         _check_same_readings(found)
         _check_redundant(first)

@@ -26,7 +26,7 @@ from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.parameters import ParameterLayout
-from bayescal.machines.readings import Legs
+from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -62,7 +62,7 @@ class SessionsInputs:
     @property
     def is_leg_mechanism(self) -> bool:
         """Whether what moved is stated by leg."""
-        return isinstance(self.first.posterior.likelihood.model, Legs)
+        return self.first.posterior.likelihood.model.legs is not None
 
 
 def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
@@ -227,8 +227,9 @@ def find_motions(measured: MeasuredReadings, theta: Array, moves: Array) -> tupl
     each, and the slope (N, m).
     """
     model, data = measured.posterior.likelihood.model, measured.posterior.likelihood.data
-    if isinstance(model, Legs):
-        machine, actuators = model.machine, model.machine.mechanism.initial_actuator_positions
+    if model.legs is not None:
+        machine = model.legs.machine
+        actuators = machine.mechanism.initial_actuator_positions
         n_own = machine.layout.size  # all others, gains among them, do nothing at home
         theta, moves = theta[:n_own], moves[:, :n_own]
         home = solve_forward_kinematics(machine, theta, actuators)
@@ -307,10 +308,10 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
 def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings], labels: Sequence[str]) -> None:
     """Raise InputError where the legs of a session are off those of the first by far more than they can have moved.
 
-    In a walk; of machines without legs there is nothing to compare.
+    In a walk; of machines without legs, or whose pose nobody measured, there is nothing to compare.
     """
     first = sessions[0].with_pose_guesses
-    if not isinstance(first.likelihood.model, Legs):
+    if first.likelihood.model.legs is None or not first.likelihood.model.reads_pose:
         return
     theta = first.theta(first.least_squares_start()[None])[
         0
@@ -333,6 +334,5 @@ def _find_offsets(measured: MeasuredReadings, theta: Array) -> Array:
     """Return the mean error of each leg in a session for one machine θ (D,), shape (N,), mm."""
     likelihood = measured.posterior.likelihood
     model, own = likelihood.model, np.flatnonzero(measured.internal)
-    seen = [k for k, one in enumerate(model.channels) if one.external]
-    read = model.read(theta, likelihood.data.values[:, seen], likelihood.data.given)
+    read = model.read(theta, likelihood.data.values[:, model.select(POSE)], likelihood.data.given)
     return np.asarray(np.nanmean(likelihood.data.values[:, own] - read[:, own], axis=0))

@@ -46,7 +46,6 @@ from bayescal.experiments.shared.headline import say_accuracy, write_headline
 from bayescal.experiments.shared.soundness import span_shares
 from bayescal.files.atomic import read_json
 from bayescal.limits import COVERAGE
-from bayescal.machines.readings import Legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import Cell, Column, Definitions, Figure, Page, PageSection, Statement, Table, make_table
 from bayescal.report.numbers import format_percent, format_significant
@@ -427,8 +426,8 @@ def _tabulate_budget(found: Certificate) -> Table:
 def _describe_machine(found: Certificate) -> list[tuple[str, str]]:
     """Return what is certified, and of which machine."""
     calibrated, model = found.calibrated, found.calibrated.model
-    if isinstance(model, Legs):
-        mechanism = model.machine.mechanism
+    if model.legs is not None:
+        mechanism = model.legs.machine.mechanism
         measurand = "platform pose at given actuator positions, unloaded"
         words = f"{mechanism.name}, {mechanism.n_legs} legs, actuators ±{mechanism.actuator_range:g} mm"
         return [("Measurand", measurand), ("Machine", words)]

@@ -15,7 +15,7 @@ from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.machine_scene import build_line_scene, build_scene
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
-from bayescal.machines.readings import FunctionModel, Legs
+from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.line_machine import AXES, LineMachine
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
@@ -50,8 +50,8 @@ def describe_machine(path: Path) -> Page:
     if "kind" not in read_toml(path)[0]:
         return _describe_mechanism(load_mechanism(path))
     model = read_reading_model(path)
-    if isinstance(model, Legs):
-        return _describe_mechanism(model.machine.mechanism)
+    if model.legs is not None:
+        return _describe_mechanism(model.legs.machine.mechanism)
     if isinstance(model, FunctionModel) and isinstance(model.machine, SlidingPlatform):
         return _describe_sliding(model.machine)
     if isinstance(model, FunctionModel) and isinstance(model.machine, LineMachine):

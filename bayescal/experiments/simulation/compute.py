@@ -295,8 +295,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     InputError for another machine than one on legs, unknown models or parameters, lists without one entry per leg or
     station, or tables of another width.
     """
-    model = read_model(config, folder)
-    if not isinstance(model, Legs):
+    model = read_model(config, folder).legs
+    if model is None:
         raise InputError(
             f"machine: found {config.machine!r} without legs, expected a mechanism for [targets] and "
             "[instrument]; others take [sensors], [instruments]"

@@ -42,7 +42,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.rows import CommandErrorRow
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import Legs, ReadingModel, as_legs, place
+from bayescal.machines.readings import Legs, ReadingModel, place
 from bayescal.numerics.geometry import Array
 
 COMMANDS = "commands.csv"
@@ -172,7 +172,7 @@ def calibrate_machine(
         model = read_kept(path, results.hashes).with_optional(config.parameters)
     elif experiment is not None and chosen.deformation == "matrix" and config.deformation.matrix == "targets":
         inputs = StudyInputs.load(config, folder)
-        whole, pads = as_legs(inputs.variants[chosen.name].whole), inputs.pads
+        whole, pads = inputs.variants[chosen.name].whole.legs, inputs.pads
         assert whole is not None
         assert pads is not None
         assert pads.pads is not None
@@ -202,8 +202,8 @@ def calibrate_machine(
     source = Source(config.name, chosen.name, name_origin(config.provenance.model_dump()), problems, solution.say())
     functions = _read_functions(results, chosen.name, solution)
     units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}
-    if isinstance(model, Legs):  # a mechanism on legs is one whatever calibrated it
-        bare = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers, whose zeros come last
+    if (alone := model.legs) is not None and alone is model:  # a mechanism on legs is one whatever calibrated it
+        bare = Legs(alone.machine, has_gains=alone.has_gains)  # without inclinometers, whose zeros come last
         size = bare.layout.size
         covariance = covariance if bare.machine.deformation.uses_matrix else None
         by_legs = LegErrors(errors.noise, errors.model_variance, bare, theta[:size], covariance)

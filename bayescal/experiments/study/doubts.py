@@ -8,7 +8,6 @@ from bayescal.experiments.shared.readings.columns import doubt_columns
 from bayescal.experiments.shared.readings.inputs import ReadingInputs
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import as_legs
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_plain, format_significant
 
@@ -33,7 +32,7 @@ def doubt_zero(inputs: ReadingInputs) -> list[str]:
     Only poses measured whole in a known frame are looked at: an unknown one is found by the calibration.
     """
     first = next(iter(inputs.variants.values()))
-    legs, names = as_legs(first.whole), list(first.model.names)
+    legs, names = first.whole.legs, list(first.model.names)
     wanted = () if legs is None else (*legs.commanded, "x", "y", "z")
     if legs is None or not {*wanted} <= {*names}:
         return []

@@ -41,7 +41,7 @@ from bayescal.limits import PARETO_K_LIMIT
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.models.beam import CIRCLE, PIVOT, compute_beam_shift, compute_circle_shift
 from bayescal.machines.models.legs import list_dimensions
-from bayescal.machines.readings import ReadingModel, as_legs
+from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array, rotation_vector_from_matrix
 from bayescal.numerics.units import MICROMETRE
 
@@ -337,7 +337,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
 def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
     """Return joints, flexures, and what targets on pads show of the platform, of a machine on legs."""
     first = next(iter(inputs.variants.values()))
-    legs, seen = as_legs(first.whole), inputs.pads
+    legs, seen = first.whole.legs, inputs.pads
     if legs is None:
         return {}
     rho = [k for k, one in enumerate(first.model.channels) if one.kind == "rho"]
@@ -352,7 +352,7 @@ def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
 
 def describe_legs(inputs: ReadingInputs) -> dict[str, Any]:
     """Return what the summary has of models, drive and measurement of a machine on legs."""
-    every = {name: as_legs(one.whole) for name, one in inputs.variants.items()}
+    every = {name: one.whole.legs for name, one in inputs.variants.items()}
     seen = {one.name: one for one in inputs.config.variants if one.model is not None}
     if not seen:
         return inputs.described
@@ -390,7 +390,7 @@ def _measure_noise(inputs: ReadingInputs) -> dict[str, float]:
 
 def title_variant(section: VariantConfig, model: ReadingModel) -> str:
     """Return what tables call a variant: its title, or model and deformation of legs that has no name of its own."""
-    legs = as_legs(model)
+    legs = model.legs
     if section.model is None or section.has_own_name or legs is None:
         return section.title
     return f"{legs.machine.model.title}/{label_class(section.deformation)}"

@@ -2,7 +2,7 @@
 
 from bayescal.machines.readings.base import POSE, BoundReadings, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
-from bayescal.machines.readings.legs import Legs, as_legs
+from bayescal.machines.readings.legs import Legs
 from bayescal.machines.readings.placed import Instrument, InstrumentedMachine, PoseInstrument, locate_tool, place
 from bayescal.machines.readings.tracker import Tracker
 
@@ -35,7 +35,6 @@ __all__ = [
     "ReadingModel",
     "Readings",
     "Tracker",
-    "as_legs",
     "locate_tool",
     "place",
 ]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from bayescal.errors import InputError
 from bayescal.machines.coordinates import Coordinates
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.machines.readings.legs import Legs
 
 WAYS = (4, 32)
 """Steps of the way from home: what fails with few is tried with many."""
@@ -312,6 +315,8 @@ class ReadingModel(ABC):
     """Sensors, or kinds of them, that a controller can command; none for all that are the machine's own."""
     offered: ClassVar[Sequence[str]] = ()
     """Symbols of its optional parameters, which it has where they are named; see `with_optional`."""
+    shifting: ClassVar[Sequence[str]] = ()
+    """Symbols of the parameters that shift where something slips, one of each member, such as the lengths of legs."""
     member: ClassVar[str] = "leg"
     """What one of many is called: that ``l[2]`` is of leg, line, joint or belt 2."""
 
@@ -350,6 +355,16 @@ class ReadingModel(ABC):
     @abstractmethod
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The pose's q coordinates."""
+
+    @property
+    def legs(self) -> Legs | None:
+        """The mechanism on legs that it is, or that instruments stand beside; None of any other machine."""
+        return None
+
+    @property
+    def reads_pose(self) -> bool:
+        """Whether position and rotation vector of its tool in the base frame are among its channels."""
+        return {*POSE_CHANNELS} <= {*self.channels}
 
     @property
     def pose_units(self) -> tuple[str, ...]:

@@ -87,6 +87,7 @@ class Legs(ReadingModel):
 
     actuated = ("rho",)  # the encoders
     offered = (GAIN,)
+    shifting = ("l",)
     pose_channels = POSE_CHANNELS  # the rotation vector compared as a rotation
 
     def __post_init__(self) -> None:
@@ -104,6 +105,11 @@ class Legs(ReadingModel):
     def optional(self) -> Mapping[str, str]:
         """The gains, which are those of encoders."""
         return {GAIN: "rho"} if self.has_gains else {}
+
+    @property
+    def legs(self) -> Legs:
+        """Itself."""
+        return self
 
     @property
     def n_legs(self) -> int:
@@ -419,12 +425,6 @@ class Legs(ReadingModel):
         start = machine.mechanism.initial_actuator_positions
         travel = (standing - start)[..., None] + moved
         return np.asarray(travel / self.layout.take(theta, GAIN).T - (commands - start)[..., None])
-
-
-def as_legs(model: ReadingModel) -> Legs | None:
-    """Return the legs of a machine, with instruments beside it or without; None of another one."""
-    whole = getattr(model, "whole", model)
-    return whole if isinstance(whole, Legs) else None
 
 
 @dataclass(frozen=True, eq=False)

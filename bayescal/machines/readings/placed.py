@@ -381,6 +381,7 @@ class InstrumentedMachine(ReadingModel):
 
     # --- what the machine says -----------------------------------------------------------------------------------
 
+    legs = hand_on("whole.legs")
     # no instrument moves the tool, is commanded or has coordinates
     coordinates = hand_on("whole.coordinates")
     given = hand_on("whole.given")
@@ -388,6 +389,7 @@ class InstrumentedMachine(ReadingModel):
     command_range = hand_on("whole.command_range")
     travels = hand_on("whole.travels")
     member = hand_on("whole.member")
+    shifting = hand_on("whole.shifting")
     pose_channels = hand_on("whole.pose_channels")
     tool_channels = hand_on("whole.tool_channels")
     states_tool = hand_on("whole.states_tool")

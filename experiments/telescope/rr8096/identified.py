@@ -11,7 +11,6 @@ from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.rows import PublishedParameterRow
 from bayescal.machines.kinematics import Machine
-from bayescal.machines.readings import as_legs
 from bayescal.numerics.units import MICROMETRE
 from rr8096.least_squares import LeastSquaresFit, identify, list_identified
 from rr8096.published import FILES, N_LEGS, read_published
@@ -23,7 +22,7 @@ FREE = {"none": {*POINTS, "l", "u_x"}, "linear": {*POINTS, "l", "kappa"}, "matri
 
 def machine_of(variant: Variant) -> Machine:
     """Return the mechanism as a variant sees it."""
-    legs = as_legs(variant.whole)
+    legs = variant.whole.legs
     assert legs is not None
     return legs.machine
 

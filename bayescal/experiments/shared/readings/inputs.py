@@ -40,7 +40,7 @@ from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.experiments.shared.unreachable_rows import check_reach
-from bayescal.machines.readings import Instrument, ReadingModel, as_legs, place
+from bayescal.machines.readings import Instrument, ReadingModel, place
 from bayescal.numerics.geometry import Array
 
 FEWEST_ROWS = 3  # fewer may be alike on purpose
@@ -351,7 +351,7 @@ def _check_machine(variant: Variant) -> None:
     """Raise InputError where the priors' centres and what is fixed are no machine's parameters."""
     start = variant.posterior().sampling.start
     variant.model.layout.check(start)
-    if (legs := as_legs(variant.whole)) is None:
+    if (legs := variant.whole.legs) is None:
         return
     with np.errstate(all="ignore"):
         there = legs.read(start[: legs.layout.size], legs.home_pose[None])[:, legs.select(legs.commanded)]

@@ -57,7 +57,7 @@ from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import Channel, Instrument, InstrumentedMachine, ReadingModel, Tracker, as_legs
+from bayescal.machines.readings import Channel, Instrument, InstrumentedMachine, ReadingModel, Tracker
 from bayescal.machines.readings.base import POSE_CHANNELS
 from bayescal.machines.readings.placed import locate_tool, rename_channel
 from bayescal.machines.readings.tracker import frame_symbols, name_frames
@@ -154,15 +154,10 @@ def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
     return config.model_copy(update={"parameters": known, "variants": variants, "sensors": sensors})
 
 
-def has_pose(machine: ReadingModel) -> bool:
-    """Return whether a machine has the pose of its tool among its channels."""
-    return {*POSE_CHANNELS} <= {*machine.channels}
-
-
 def leave_pose(machine: ReadingModel) -> ReadingModel:
     """Return a machine without the pose among its channels, which an instrument beside it sees."""
     kept = [k for k, one in enumerate(machine.channels) if one not in POSE_CHANNELS]
-    return machine.pick(np.array(kept, dtype=int)) if has_pose(machine) else machine
+    return machine.pick(np.array(kept, dtype=int)) if machine.reads_pose else machine
 
 
 def _gather(commanded: bool, taken: PoseRecords, blocks: Sequence[tuple[Array, Array]]) -> PoseReadings:
@@ -241,7 +236,7 @@ class InstrumentReader:
             check_repeated(tracked.names, tracked.values, taken.verification)
         free = [name for name in ("base", "tool") if getattr(data.frames, name) is not None]
         described = {"instrument": {"instrument": data.kind, "free_frames": free, **tracked.describe()}}
-        if not free and has_pose(self.machine):
+        if not free and self.machine.reads_pose:
             if tracked.is_whole():
                 return self._join(data, taken, tracked.poses, [_pose_block(tracked.poses)], described, tracked=tracked)
             if isinstance(data, PoseDataConfig):  # in part, in the base frame
@@ -294,7 +289,7 @@ class InstrumentReader:
 
     def _read_targets(self, data: TargetDataConfig) -> Measured:
         path, actuators, reference = (self.folder / one for one in (data.file, data.actuators, data.reference))
-        legs, columns = as_legs(self.machine), choose_columns(self._commands, actuators)
+        legs, columns = self.machine.legs, choose_columns(self._commands, actuators)
         survey = read_survey(path, actuators, reference, columns, 0 if legs is None else legs.n_legs)
         noise = data.target_noise_um * MICROMETRE
         if legs is not None:
@@ -315,7 +310,7 @@ class InstrumentReader:
         }
         taken = PoseRecords(extraction.poses.names, survey.verification, extraction.poses.actuators)
         found, poses = TargetMeasurement(survey, extraction, noise), extraction.poses
-        tracker = None if has_pose(self.machine) else Tracker(("",), [(0, None)])
+        tracker = None if self.machine.reads_pose else Tracker(("",), [(0, None)])
         return self._join(data, taken, poses, [_pose_block(poses)], described, tracker=tracker, targets=found)
 
     # --- as readings ---------------------------------------------------------------------------------------------

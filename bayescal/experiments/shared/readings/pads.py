@@ -27,7 +27,7 @@ from bayescal.experiments.shared.readings.data_schema import TargetDataConfig
 from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import POSE, Legs, ReadingModel, as_legs
+from bayescal.machines.readings import POSE, Legs, ReadingModel
 from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array
 
@@ -147,7 +147,7 @@ class SeenPads:
 
     def list_terms(self, model: ReadingModel, rows: Sequence[str]) -> tuple[ErrorTerm, ...]:
         """Return what the uncertainty of a measured K does to the readings at poses of a machine that uses it."""
-        legs = as_legs(model)
+        legs = model.legs
         if legs is None or not (legs.machine.deformation.uses_matrix and self.from_targets):
             return ()
         assert self.pads is not None
@@ -171,7 +171,7 @@ def look_at_pads(config: StudyConfig, measured: Sequence[Measured], machine: Rea
 
     Of several tables of targets the first counts.
     """
-    legs, found = as_legs(machine), [one for one in measured if one.targets is not None]
+    legs, found = machine.legs, [one for one in measured if one.targets is not None]
     if legs is None or not found:
         return None
     from_targets, first = config.deformation.matrix == "targets", found[0]
