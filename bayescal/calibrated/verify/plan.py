@@ -236,7 +236,8 @@ def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
     """Return whether an instrument measures the machine's pose, which its coordinates are, and nothing else."""
     model = calibrated.model
     places = [one.name for one in model.coordinates]
-    return model.reads_pose and places == list(POSE) and list(model.names) == [*model.commanded, *POSE]
+    own = [*model.commanded, *POSE]
+    return model.reads_pose and not model.given and places == list(POSE) and list(model.names) == own
 
 
 def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
