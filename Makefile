@@ -18,7 +18,7 @@ help:
 	@echo "make test-dask  schedulers and workers of dask, killed and late (installs dask.distributed)"
 	@echo "make test-nautilus  posteriors and evidence by another library's sampler (installs nautilus)"
 	@echo "make test-browser  every kind's page in the system's Chromium (installs playwright, no browser)"
-	@echo "make check      linter, types, import contracts"
+	@echo "make check      linter, types (installs basedpyright), import contracts"
 	@echo "make update-manifests  the manifests of committed results, of the files that git has of them"
 	@echo "make data       simulate the shipped twins again"
 	@echo "make docs       the documentation, its tutorials run, into docs/_build/html (installs Sphinx)"
@@ -72,6 +72,8 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[types]"
+	$(BIN)/python -m pytest -q -m "runs or not runs" tests/typed
 
 update-manifests: $(STAMP)
 	rm -rf build/manifests && git checkout-index --prefix=build/manifests/ $$(git ls-files results)

@@ -2,6 +2,8 @@
 
 import ast
 import inspect
+import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +33,19 @@ def test_a_user_s_script_passes_mypy_strict(tmp_path):
     (tmp_path / "none.ini").write_text("[mypy]\n")
     command = [sys.executable, "-m", "mypy", *options, HERE / "script.py"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=HERE.parents[1])
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.runs
+def test_a_user_s_script_passes_pyright_beside_the_package_as_installed(tmp_path):
+    pytest.importorskip("basedpyright", reason="make check installs it")
+    package, left_out = HERE.parents[1] / "bayescal", shutil.ignore_patterns("__pycache__")
+    shutil.copytree(package, tmp_path / "site" / "bayescal", ignore=left_out)
+    shutil.copy(HERE / "script.py", tmp_path)
+    options = {"typeCheckingMode": "standard", "include": ["script.py"], "extraPaths": ["site"]}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(options))
+    command = [sys.executable, "-m", "basedpyright", "--pythonpath", sys.executable]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
 
 
