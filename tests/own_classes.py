@@ -9,8 +9,7 @@ import studies
 OWN = '''
 """Built-in classes with a twist."""
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,12 +32,8 @@ class Longer(SixPus):
     title = "6-PUS with longer legs"
     Config = LongerOptions
 
-    def __init__(self, longer):
-        self.longer = longer
-
-    @classmethod
-    def from_config(cls, config, mechanism):
-        return cls(config.longer_mm)
+    def __init__(self, config, mechanism):
+        self.longer = config.longer_mm
 
     def blocks(self, mechanism):
         return tuple(
@@ -47,13 +42,11 @@ class Longer(SixPus):
         )
 
 
-@dataclass(frozen=True)
 class Halved(LinearDeformation):
-    name: ClassVar[str] = "halved"
+    name = "halved"
 
-    @classmethod
-    def from_nominal(cls, nominal):
-        return cls(nominal.kappa / 2.0)
+    def __init__(self, config, nominal):
+        super().__init__(nominal.kappa / 2.0)
 
 
 class TrackerOptions(Section):
@@ -63,8 +56,8 @@ class TrackerOptions(Section):
 class Tracker(Sensor):
     Config = TrackerOptions
 
-    def __init__(self, noise_um):
-        self.sensor = PoseSensor(noise_um * MICROMETRE, None)
+    def __init__(self, config):
+        self.sensor = PoseSensor(config.noise_um * MICROMETRE, None)
 
     def information(self, position, rotation):
         return self.sensor.information(position, rotation)
@@ -80,11 +73,8 @@ class Weighted(DOptimality):
     source = "Nobody 2026"
     Config = Weight
 
-    @classmethod
-    def from_config(cls, config, purpose):
-        found = cls()
-        object.__setattr__(found, "weight", config.weight)
-        return found
+    def __init__(self, config, purpose):
+        object.__setattr__(self, "weight", config.weight)
 
     def from_log_det(self, log_det, n_poses, n_parameters):
         return self.weight * super().from_log_det(log_det, n_poses, n_parameters)
@@ -94,13 +84,14 @@ class First(Section):
     skip: int = 0
 
 
-@dataclass(frozen=True)
 class Foremost(SelectionMethod):
-    skip: int = 0
-    name: ClassVar[str] = "foremost"
-    title: ClassVar[str] = "The first candidates"
-    source: ClassVar[str] = "Nobody 2025"
-    Config: ClassVar = First
+    name = "foremost"
+    title = "The first candidates"
+    source = "Nobody 2025"
+    Config = First
+
+    def __init__(self, config):
+        self.skip = config.skip
 
     def select(self, problem, rng):
         index = np.arange(self.skip, self.skip + problem.n)

@@ -161,6 +161,18 @@ class ClassReference[T]:
     found: type[T]
     options: Any
 
+    def make(self, *context: object) -> T:
+        """Return one of the class: by `__init__(config, ...)` where it has one of its own.
+
+        ``context`` is what the class is made for, such as the mechanism of a model. Without an `__init__` of its own it
+        is made as the built-in class that it derives from.
+        """
+        start = next(one for one in self.found.__mro__ if "__init__" in vars(one))
+        built_in = getattr(self.found, "from_config", self.found)
+        chosen = self.found if is_own(start) and start is not object else built_in
+        made: T = chosen(self.options, *context)
+        return made
+
 
 def choose[T](
     what: str, name: str, base: type[T], field: str, folder: Path, options: Mapping[str, Any] | None = None

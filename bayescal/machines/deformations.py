@@ -49,8 +49,8 @@ class NominalDeformation:
 class Deformation(ABC):
     """A platform deformation: a name, its parameters and its basis.
 
-    One of somebody else's is named in a config, ``deformation = "own.py:Own"``; where it has options, these are checked
-    by its ``Config`` and handed to `from_config`.
+    One of somebody else's is named in a config, ``deformation = "own.py:Own"``; its ``Config`` checks its options, and
+    `__init__(self, config, nominal)` makes it.
     """
 
     name: ClassVar[str]
@@ -60,7 +60,7 @@ class Deformation(ABC):
 
     @classmethod
     def from_config(cls, config: Any, nominal: NominalDeformation) -> Self:
-        """Return the deformation with its nominal values, and options of a config, which it has none of by default."""
+        """Return a built-in deformation with its nominal values."""
         del config
         return cls.from_nominal(nominal)
 

@@ -191,7 +191,7 @@ def build_named_machine(
     chosen = choose_model(model, f"{field}.model", folder)
     kind: ClassReference[Deformation] = choose("DEFORMATIONS", deformation, Deformation, f"{field}.deformation", folder)  # type: ignore[type-abstract]
     with name_failures(kind.found, f"{field}.deformation"):
-        seen = kind.found.from_config(kind.options, nominal)
+        seen = kind.make(nominal)
         seen.blocks(mechanism.n_legs)
     with name_failures(chosen.found, f"{field}.model"), name_faults(file):
         return build_chosen_machine(chosen, mechanism, seen)
@@ -207,7 +207,7 @@ def build_chosen_machine(
 ) -> Machine:
     """Return a mechanism seen through a model with its options; InputError where it is not one for the model."""
     check_drive(chosen.found, mechanism)
-    machine = Machine(mechanism, chosen.found.from_config(chosen.options, mechanism), deformation)
+    machine = Machine(mechanism, chosen.make(mechanism), deformation)
     if is_own(chosen.found):
         check_home_pose(machine)  # here, where a failure of somebody else's model becomes one line
     return machine

@@ -15,15 +15,15 @@ from bayescal.numerics.geometry import Array, compute_relative_pose, compute_rig
 class Sensor(ABC):
     """An instrument that measures the platform in the base frame, or a part of its pose.
 
-    One of somebody else's is named in a config, ``kind = "own_sensor.py:OwnSensor"``; the other keys of its section are
-    checked by its ``Config`` and become its fields.
+    One of somebody else's is named in a config, ``kind = "own_sensor.py:OwnSensor"``; its ``Config`` checks the other
+    keys of its section, and `__init__(self, config)` makes it.
     """
 
     Config: ClassVar[type[Section]] = Section
 
     @classmethod
     def from_config(cls, config: Any) -> Self:
-        """Return the sensor of a section of a config."""
+        """Return a built-in sensor of a section of a config."""
         return cls(**dict(config))
 
     @abstractmethod

@@ -53,10 +53,10 @@ class SelectedPoses:
 
 
 class SelectionMethod(ABC):
-    """A method of pose selection; its options are its fields.
+    """A method of pose selection.
 
-    One of somebody else's is named in a config, ``method = "own.py:Own"``; what its table says beside the keys of every
-    choice is checked by its ``Config``.
+    One of somebody else's is named in a config, ``method = "own.py:Own"``; its ``Config`` checks what its table says
+    beside the keys of every choice, and `__init__(self, config)` makes it.
     """
 
     name: ClassVar[str]
@@ -66,7 +66,7 @@ class SelectionMethod(ABC):
 
     @classmethod
     def from_config(cls, config: Any) -> Self:
-        """Return the method with the options of a section of a config."""
+        """Return a built-in method, whose options are its fields."""
         return cls(**dict(config))
 
     @abstractmethod

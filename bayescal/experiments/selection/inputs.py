@@ -84,7 +84,7 @@ class SelectionInputs:
         """Return a criterion by what tables call it."""
         chosen = choose("CRITERIA", self.config.criteria[name], Criterion, CRITERIA_FIELD, self.folder)  # type: ignore[type-abstract]
         with name_failures(chosen.found, CRITERIA_FIELD):
-            return chosen.found.from_config(chosen.options, self)
+            return chosen.make(self)
 
     def method(self, choice: SelectionChoice) -> SelectionMethod:
         """Return the method of a choice with its options."""
@@ -99,7 +99,7 @@ class SelectionInputs:
     def _make_method(self, name: str, field: str, options: dict[str, Any] | None) -> SelectionMethod:
         chosen = choose("METHODS", name, SelectionMethod, field, self.folder, options)  # type: ignore[type-abstract]
         with name_failures(chosen.found, field):
-            return chosen.found.from_config(chosen.options)
+            return chosen.make()
 
     @property
     def form(self) -> JacobianForm:

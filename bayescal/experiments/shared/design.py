@@ -98,7 +98,7 @@ def _build_own_sensor(name: str, config: OwnSensorConfig, folder: Path) -> Senso
     field = f"sensors.{name}"
     chosen = choose("SENSORS", config.kind, Sensor, f"{field}.kind", folder, config.options)  # type: ignore[type-abstract]
     with name_failures(chosen.found, f"{field}.kind"):
-        sensor = chosen.found.from_config(chosen.options)
+        sensor = chosen.make()
         told = np.asarray(sensor.information(np.zeros((2, 3)), np.broadcast_to(np.eye(3), (2, 3, 3))))
     fine = told.shape == (2, 6, 6) and np.isfinite(told).all() and np.allclose(told, np.swapaxes(told, -1, -2))
     if not fine:

@@ -75,8 +75,8 @@ class BoundClosure(ABC):
 class KinematicModel(ABC):
     """A kinematic model: a name, the drive of the machines it takes, its parameters and its closure.
 
-    One of somebody else's is named in a config, ``model = "own_model.py:OwnModel"``; where it has options, these are
-    checked by its ``Config`` and handed to `from_config`.
+    One of somebody else's is named in a config, ``model = "own_model.py:OwnModel"``; its ``Config`` checks its options,
+    and `__init__(self, config, mechanism)` makes it.
     """
 
     name: ClassVar[str]
@@ -86,7 +86,7 @@ class KinematicModel(ABC):
 
     @classmethod
     def from_config(cls, config: Any, mechanism: Mechanism) -> Self:
-        """Return the model of a mechanism, with the options of a config, which it has none of by default."""
+        """Return a built-in model of a mechanism."""
         del config
         return cls.from_mechanism(mechanism)
 

@@ -46,8 +46,8 @@ class Purpose(Protocol):
 class Criterion(ABC):
     """An objective of pose selection.
 
-    One of somebody else's is named in a config, ``criteria = ["own.py:Own"]``; where it has options, these are checked
-    by its ``Config`` and handed to `from_config`.
+    One of somebody else's is named in a config, ``criteria = ["own.py:Own"]``; its ``Config`` checks its options, and
+    `__init__(self, config, purpose)` makes it.
     """
 
     name: ClassVar[str]
@@ -58,7 +58,7 @@ class Criterion(ABC):
 
     @classmethod
     def from_config(cls, config: Any, purpose: Purpose) -> Self:
-        """Return the criterion for a purpose, with options of a config; by default it takes neither."""
+        """Return a built-in criterion for a purpose."""
         del config, purpose
         return cls()
 
