@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
 import bayescal as bc
-from bayescal.density.calibration.measurements import Measurements
-from bayescal.density.priors import HalfNormalPrior
 
 type Array = npt.NDArray[np.float64]
 
@@ -63,11 +62,89 @@ class Gauge(bc.Instrument):
 class Vibration(bc.ErrorTerm):
     """Noise that all channels have beside what is stated."""
 
-    names, units, priors = ("vibration",), ("mm",), (HalfNormalPrior(0.01),)
+    names, units, priors = ("vibration",), ("mm",), (bc.HalfNormalPrior(0.01),)
 
-    def variance(self, zeta: Array, data: Measurements) -> Array:
+    def variance(self, zeta: Array, data: bc.Measurements) -> Array:
         """Return its variance."""
         return np.broadcast_to(self.natural(zeta)[:, :, None] ** 2, (len(zeta), *data.sd.shape))
+
+
+class GaugeBlock(bc.Sensor):
+    """What sees the height of the platform alone."""
+
+    def __init__(self, config: bc.Section) -> None:
+        del config
+
+    def information(self, position: Array, rotation: Array) -> Array:
+        """Return the information on each pose."""
+        del rotation
+        return np.broadcast_to(np.diag([0.0, 0.0, 1e4, 0.0, 0.0, 0.0]), (len(position), 6, 6)).copy()
+
+
+class First(bc.SelectionMethod):
+    """The first candidates."""
+
+    name, title, source = "first", "The first candidates", "Nobody"
+
+    def __init__(self, config: bc.Section) -> None:
+        del config
+
+    def select(self, problem: Any, rng: np.random.Generator) -> Any:
+        """Return the first of all."""
+        del rng
+        return self._from_candidates(problem, np.arange(problem.n), [0.0], 1, "nothing to search")
+
+
+class Prior(bc.Sampler):
+    """Draws of the prior."""
+
+    def sample(self, task: Any) -> bc.SamplingResult:
+        """Return them as two runs."""
+        rng = np.random.default_rng(task.seed)
+        return bc.SamplingResult(task.collect(np.stack([task.draw_prior(500, rng) for _ in range(2)])))
+
+
+class Lengths(bc.PageBlock):
+    """What the lengths are."""
+
+    def show(self, results: bc.Results) -> Any:
+        """Return a section of the page."""
+        columns = [bc.Column("Link", kind="name"), bc.Column("sd", "mm")]
+        rows = [
+            [str(row["parameter"]), bc.format_significant(row["sd"])]
+            for row in results.table("parameters").to_dict("records")
+        ]
+        said = f"{bc.format_estimate(1.0, 0.1)}, {bc.format_fixed(1.0, 1)}"
+        return bc.make_section("Lengths", (said,), (bc.make_table("Lengths.", columns, rows),))
+
+
+class HeightsConfig(bc.ExperimentConfig):
+    """A table of heights."""
+
+    heights: bc.InputFile
+
+
+class Heights(bc.Experiment[HeightsConfig, Array]):
+    """The mean of heights."""
+
+    schema = HeightsConfig
+
+    def read(self, config: HeightsConfig, folder: Path) -> Array:
+        """Return the heights."""
+        return bc.read_table(folder / config.heights, ("z_mm",)).numbers(("z_mm",))
+
+    def compute(self, inputs: Array, run: Any) -> bc.Results:
+        """Return their mean."""
+        del run
+        return bc.Results({"mean": float(inputs.mean())})
+
+    def page(self, results: bc.Results) -> bc.Page:
+        """Return the page."""
+        return bc.Page("Heights", "heights", "Heights", "", str(results.summary["mean"]), (), ())
+
+
+PRIORS = (bc.NormalPrior(0.0, 1.0), bc.UniformPrior(0.0, 1.0))
+MADE: tuple[type, ...] = (bc.KinematicModel, bc.Deformation, bc.Criterion)
 
 
 def calibrate(folder: Path) -> pd.DataFrame:
