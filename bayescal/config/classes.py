@@ -8,7 +8,7 @@ such as an instrument's, its options are the section's other keys. The class's o
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -168,10 +168,9 @@ class ClassReference[T]:
         is made as the built-in class that it derives from.
         """
         start = next(one for one in self.found.__mro__ if "__init__" in vars(one))
-        built_in = getattr(self.found, "from_config", self.found)
-        chosen = self.found if is_own(start) and start is not object else built_in
-        made: T = chosen(self.options, *context)
-        return made
+        own: Callable[..., T] = self.found
+        built_in: Callable[..., T] = getattr(self.found, "from_config", own)
+        return (own if is_own(start) and start is not object else built_in)(self.options, *context)
 
 
 def choose[T](

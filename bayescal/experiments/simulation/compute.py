@@ -8,6 +8,7 @@ deformation and which leaves the ring as it is. So targets give back K, and a ca
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +63,7 @@ from bayescal.machines.kinematics import ForwardKinematics, Machine, check_home_
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import build_chosen_machine, choose_model, load_mechanism, points_of, read_reading_model
-from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.machines.readings import Channel, InstrumentedMachine, Legs, ReadingModel, place
 from bayescal.machines.readings.legs import TILTS
 from bayescal.machines.readings.tracker import frame_blocks, move_frames
 from bayescal.numerics.geometry import (
@@ -92,11 +93,12 @@ class ReadingPlan:
     common: dict[str, tuple[str, ...]]
     workspace: Workspace
     truth: Array | None
+    seen: SeenTool | None = None  # by an instrument whose files have poses or points, in place of channels
 
     @property
     def layout(self) -> ParameterLayout:
-        """The true parameters'."""
-        return self.model.layout
+        """The true parameters', those of the instrument's frames among them."""
+        return self.model.layout if self.seen is None else self.seen.extend(self.model.layout)
 
     @property
     def n_held_back(self) -> int:
@@ -111,7 +113,7 @@ class ReadingPlan:
     @property
     def width(self) -> int:
         """How many numbers are simulated of each."""
-        return len(self.model.channels)
+        return len(self.model.channels) + (0 if self.seen is None else self.seen.width)
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and the true parameters (D,)."""
@@ -124,29 +126,30 @@ class ReadingPlan:
         n_calibration = self.n_poses - self.n_held_back
         names = [f"C{k:03d}" for k in range(1, n_calibration + 1)]
         names += [f"V{k:02d}" for k in range(1, self.n_held_back + 1)]
-        columns = ["pose", "use", *(f"{one.stem}_{one.unit}" for one in model.channels), *given]
-        decimals = [DECIMALS.get(one.unit, 9) for one in model.channels]
-        rows = [
-            (
-                name,
-                USES[k >= n_calibration],
-                *(f"{x:.{d}f}" for x, d in zip(measured[k], decimals, strict=True)),
-                *(f"{value[k]:.12g}" for value in given.values()),
-            )
-            for k, name in enumerate(names)
-        ]
+        uses = [USES[k >= n_calibration] for k in range(len(names))]
         coordinates = [f"{one.name}_{one.unit}" for one in model.coordinates]
         origin = config.provenance.text
-        files = {
-            "readings.csv": format_table([origin, "Columns end with their unit."], columns, rows),
+        truth = {
             PARAMETERS_FILE: format_true_parameters([origin, "True parameters."], model.layout, theta),
             POSES_FILE: format_true_poses([origin, "True poses."], coordinates, names, pose),
         }
-        return files, theta
+        if self.seen is None:
+            return {
+                "readings.csv": _format_readings(origin, model.channels, names, uses, measured, given)
+            } | truth, theta
+        own = model.select(model.commanded)
+        commands = [model.channels[k] for k in own]
+        files = {"actuators.csv": _format_readings(origin, commands, names, uses, measured[:, own], given)}
+        if len(own) < len(model.channels):
+            files["readings.csv"] = _format_readings(origin, model.channels, names, uses, measured, given)
+        tool = InstrumentedMachine(model, ()).place_tool(theta, pose)
+        standing = tool[:, :3], matrix_from_rotation_vector(tool[:, 3:])
+        files |= self.seen.format(tuple(names), *standing, origin, rng)
+        return files | truth, np.concatenate([theta, self.seen.frames.ravel()])
 
     def _draw_machine(self, rng: np.random.Generator) -> Array:
         """Return a machine within its priors, (D,)."""
-        layout = self.layout
+        layout = self.model.layout
         theta = layout.nominal.copy()
         for name, value in self.fixed.items():
             theta[layout.names.index(name)] = value
@@ -162,6 +165,75 @@ class ReadingPlan:
         return theta
 
 
+@dataclass(frozen=True, eq=False)
+class SeenTool:
+    """An instrument that sees the tool of any machine, a pose or points of a probe on it, in frames of its own."""
+
+    config: PlatformInstrumentConfig
+    folder: Path
+    frames: Array  # (S + 1, 6): true ones of stations and probe, mm and rad
+
+    @property
+    def width(self) -> int:
+        """About how many numbers it leaves of each pose."""
+        return DEGREES_OF_FREEDOM
+
+    def extend(self, layout: ParameterLayout) -> ParameterLayout:
+        """Return a machine's parameters with those of the frames."""
+        return layout.extend(frame_blocks(len(self.frames) - 1))
+
+    def format(
+        self, names: tuple[str, ...], position: Array, rotation: Array, origin: str, rng: np.random.Generator
+    ) -> dict[str, str]:
+        """Return the text of its table by the file's name, of a tool at (P, 3), mm, turned by (P, 3, 3)."""
+        config = self.config
+        pairs = np.concatenate([self.frames[:-1], np.broadcast_to(self.frames[-1:], self.frames[:-1].shape)], axis=1)
+        seen = move_frames(pairs, position[None], rotation[None])
+        if isinstance(config, PointInstrumentConfig):
+            return {"points.csv": _format_points(names, seen, config, self.folder, origin, rng)}
+        return {"poses.csv": _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)}
+
+
+def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path) -> SeenTool | None:
+    """Return the instrument that sees the tool; InputError where the machine does not say where that is, or turned."""
+    if (section := config.instrument) is None:
+        return None
+    if not model.commanded:
+        raise InputError("sensors: found no commanded channel, expected some with [instrument]")
+    if not model.places_tool:
+        raise InputError("machine: found no place of its tool, expected tool_channels of its class, up to three in mm")
+    turned = isinstance(section, PointInstrumentConfig) or section.arcseconds is not None
+    if turned and not InstrumentedMachine(model, ()).tells_rotation:
+        raise InputError(
+            "instrument: found a machine that does not say how its tool is turned, expected poses without "
+            "orientation_arcsec"
+        )
+    return SeenTool(section, folder, _read_frames(section, folder))
+
+
+def _format_readings(
+    origin: str,
+    channels: Sequence[Channel],
+    names: Sequence[str],
+    uses: Sequence[str],
+    values: Array,
+    given: Mapping[str, Array],
+) -> str:
+    """Return the text of a table of readings (P, K) of channels, and of what is given of each row."""
+    columns = ["pose", "use", *(f"{one.stem}_{one.unit}" for one in channels), *given]
+    decimals = [DECIMALS.get(one.unit, 9) for one in channels]
+    rows = [
+        (
+            name,
+            use,
+            *(f"{x:.{d}f}" for x, d in zip(row, decimals, strict=True)),
+            *(f"{value[k]:.12g}" for value in given.values()),
+        )
+        for k, (name, use, row) in enumerate(zip(names, uses, values, strict=True))
+    ]
+    return format_table([origin, "Columns end with their unit."], columns, rows)
+
+
 def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     """Return what is simulated; InputError for every fault of the config or its files."""
     whole = read_model(config, folder)
@@ -172,7 +244,8 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     check_optional(whole.pick(chosen), [one for name in priors for one in common.get(name, (name,))])
     truth = read_truth(config, whole.layout, folder)
     workspace = build_workspace(whole, config.workspace, config.units)
-    return ReadingPlan(config, whole.pick(chosen), noise[chosen], priors, fixed, common, workspace, truth)
+    model, seen = whole.pick(chosen), _read_instrument(config, whole.pick(chosen), folder)
+    return ReadingPlan(config, model, noise[chosen], priors, fixed, common, workspace, truth, seen)
 
 
 def read_model(config: SimulationConfig, folder: Path) -> ReadingModel:
@@ -232,7 +305,7 @@ class Twin:
     folder: Path  # where the config's file names start
     calibration: Array  # (P, N), displacements of the actuators from their initial positions, mm
     verification: Array
-    frames: Array | None  # (S + 1, 6), true ones of stations and probe, mm and rad; None for photogrammetry
+    seen: SeenTool | None  # by an instrument; None for photogrammetry
 
     @property
     def machine(self) -> Machine:
@@ -248,7 +321,7 @@ class Twin:
     def layout(self) -> ParameterLayout:
         """All true parameters', those of the instrument's frames among them."""
         own = self.legs.layout
-        return own if self.frames is None else own.extend(frame_blocks(len(self.frames) - 1))
+        return own if self.seen is None else self.seen.extend(own)
 
     @property
     def n_held_back(self) -> int:
@@ -282,11 +355,15 @@ class Twin:
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and all true parameters."""
-        if self.frames is None:
+        origin = self.config.provenance.text
+        if self.seen is None:
             survey, poses = survey_twin(self, rng)
-            return format_survey(survey, self.config.provenance.text) | format_truth(self, poses), self.theta
-        files, poses = _simulate_readings(self, self.frames, rng)
-        return files | format_truth(self, poses), np.concatenate([self.theta, self.frames.ravel()])
+            return format_survey(survey, origin) | format_truth(self, poses), self.theta
+        commanded, _, found = move(self, rng, self.theta)
+        files = {"actuators.csv": format_actuators(self.names, self.held_back, commanded, origin)}
+        files |= self.seen.format(self.names, found.position, found.rotation, origin, rng)
+        truth = format_truth(self, stack_poses(found))
+        return files | truth, np.concatenate([self.theta, self.seen.frames.ravel()])
 
 
 def build_twin(config: SimulationConfig, folder: Path) -> Twin:
@@ -298,8 +375,8 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     model = read_model(config, folder).legs
     if model is None:
         raise InputError(
-            f"machine: found {config.machine!r} without legs, expected a mechanism for [targets] and "
-            "[instrument]; others take [sensors], [instruments]"
+            f"machine: found {config.machine!r} without legs, expected a mechanism for [targets] and [poses]; "
+            "others take [sensors] and n_poses"
         )
     legs = Legs(model.machine, has_gains=model.has_gains)  # without inclinometers
     machine, poses, targets = model.machine, config.poses, config.targets
@@ -314,8 +391,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
     theta = read_truth(config, legs.layout, folder)
     assert theta is not None
-    frames = None if config.instrument is None else _read_frames(config.instrument, folder)
-    return Twin(legs, theta, config, folder, calibration, verification, frames)
+    return Twin(legs, theta, config, folder, calibration, verification, _read_instrument(config, legs, folder))
 
 
 def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
@@ -462,21 +538,6 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
             reference,
         ),
     }
-
-
-def _simulate_readings(twin: Twin, frames: Array, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
-    """Return the texts of the tables that an instrument leaves of a twin, by their names, and the true poses (P, 6)."""
-    config, origin = twin.config.instrument, twin.config.provenance.text
-    commanded, _, found = move(twin, rng, twin.theta)
-    pairs = np.concatenate([frames[:-1], np.broadcast_to(frames[-1:], frames[:-1].shape)], axis=1)
-    seen = move_frames(pairs, found.position[None], found.rotation[None])
-    files = {"actuators.csv": format_actuators(twin.names, twin.held_back, commanded, origin)}
-    if isinstance(config, PointInstrumentConfig):
-        files["points.csv"] = _format_points(twin.names, seen, config, twin.folder, origin, rng)
-    else:
-        assert config is not None
-        files["poses.csv"] = _format_poses(twin.names, (seen[0][0], seen[1][0]), config, origin, rng)
-    return files, stack_poses(found)
 
 
 def _format_poses(

@@ -45,7 +45,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
 
     def read(self, config: SimulationConfig, folder: Path) -> Plan:
         """Return the machine, its truth, its noise and where it is measured; InputError for poses out of reach."""
-        found = build_twin(config, folder) if config.sees_platform else plan_readings(config, folder)
+        found = build_twin(config, folder) if config.is_planned else plan_readings(config, folder)
         if found.n_poses * found.width <= MOST_TRIED:
             found.simulate(np.random.default_rng(config.seed))  # drawn once more to be written: what fails shows now
         return found

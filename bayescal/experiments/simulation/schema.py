@@ -152,15 +152,16 @@ class SimulatedProvenanceConfig(ProvenanceConfig):
 
 
 OF_CHANNELS = ("sensors", "n_poses", "n_verification_poses", "instruments", "parameters", "workspace", "conditions")
-OF_PLATFORM = ("truth", "poses", "noise", "measurement_frame")
-"""Sections of readings, the first two needed, and of what an instrument sees, the first three needed."""
+OF_PLANS = ("truth", "poses", "noise", "measurement_frame")
+"""Sections of random poses, the first two needed, and of planned ones of a machine on legs, the first three needed."""
 
 
 class SimulationConfig(FreeConfig, ExperimentConfig):
-    """Simulated measurements of any machine: readings of its channels, or a platform on legs that an instrument sees.
+    """Simulated measurements of any machine: readings of its channels, poses or points that an instrument sees.
 
-    [sensors] make readings at random poses of the workspace, of a machine drawn within [parameters] or of [truth].
-    [targets] or [instrument] make a survey of the platform, at actuator positions of tables.
+    [sensors] and n_poses make readings at random poses of the workspace, of a machine drawn within [parameters] or of
+    [truth]; with [instrument] the poses or points that it sees of the tool. At planned actuator positions of a
+    machine on legs, [poses], either [targets] make a survey or [instrument] sees the platform.
     """
 
     kind: Literal["simulation"]
@@ -198,24 +199,27 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     measurement_frame: MeasurementFrameConfig | None = None
     """How far the frame of photogrammetry wanders from pose to pose."""
     instrument: PlatformInstrumentConfig | None = None
-    """An instrument that sees the platform of a machine on legs, instead of photogrammetry."""
+    """An instrument that sees the tool, instead of photogrammetry."""
 
     @property
-    def sees_platform(self) -> bool:
-        """Whether an instrument sees the platform of a machine on legs."""
-        return self.targets is not None or self.instrument is not None
+    def is_planned(self) -> bool:
+        """Whether the poses are planned ones of a machine on legs."""
+        return self.poses is not None or self.targets is not None
 
     @model_validator(mode="after")
-    def _check_route(self) -> Self:
-        seen = "targets" if self.targets is not None else "instrument" if self.instrument is not None else ""
-        needed, strange = (OF_PLATFORM[:3], OF_CHANNELS) if seen else (OF_CHANNELS[:2], OF_PLATFORM[1:])
+    def _check_poses(self) -> Self:
+        planned = self.is_planned
+        needed, strange = (OF_PLANS[:3], OF_CHANNELS) if planned else (OF_CHANNELS[:2], OF_PLANS[1:])
         for name in needed:
             if not getattr(self, name):
-                expected = "it" if seen else "it, or [targets] or [instrument] with legs"
+                expected = "it" if planned else "it, or [poses] with legs"
                 raise ValueError(f"{name}: found none, expected {expected}")
         for name in strange:
             if name in self.model_fields_set:
-                raise ValueError(f"{name}: found beside {seen or 'sensors'}, expected either")
+                beside = "sensors" if not planned else "targets" if self.targets is not None else "poses"
+                raise ValueError(f"{name}: found beside {beside}, expected either")
+        if self.poses is not None and self.targets is None and self.instrument is None:
+            raise ValueError("poses: found no [targets] or [instrument], expected either")
         return self
 
     @model_validator(mode="after")

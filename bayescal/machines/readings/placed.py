@@ -406,6 +406,10 @@ class InstrumentedMachine(ReadingModel):
 
     # --- the tool's pose ---------------------------------------------------------------------------------------------
 
+    def place_tool(self, theta: Array, pose: Array) -> Array:
+        """Return position and rotation vector (..., 6) of the tool at poses (..., q); a rotation not told is zero."""
+        return self._place_tool(self.whole.tool_values(self._split(theta)[0], pose), pose)
+
     def _place_tool(self, numbers: Array, pose: Array) -> Array:
         """Return position and rotation vector (..., 6) from the tool's numbers (..., m) at poses (..., q)."""
         found = np.zeros((*numbers.shape[:-1], len(POSE)))
@@ -541,7 +545,7 @@ def locate_tool(machine: ReadingModel, commands: Array) -> Array:
     """
     theta = machine.layout.nominal
     pose, _ = machine.locate(theta, commands)
-    return InstrumentedMachine(machine, ())._place_tool(machine.tool_values(theta, pose), pose)
+    return InstrumentedMachine(machine, ()).place_tool(theta, pose)
 
 
 def rename_channel(name: str, channel: Channel) -> Channel:
@@ -577,7 +581,7 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
                 raise InputError(f"{symbol}: expected a value: only a study estimates it")
             if not machine.places_tool:
                 raise InputError(f"machine {title!r}: expected tool_channels of its class, up to three in mm")
-            home = bare._place_tool(machine.tool_values(machine.layout.nominal, machine.home_pose), machine.home_pose)
+            home = bare.place_tool(machine.layout.nominal, machine.home_pose)
             one.coordinates = [
                 Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(POSE)
             ]

@@ -292,6 +292,21 @@ def test_a_mechanism_has_readings_as_every_machine(config):
     np.testing.assert_allclose(found.position[:, 0], read["x_mm"], atol=2e-5)
 
 
+def test_an_instrument_sees_the_tool_of_any_machine(tmp_path):
+    """Its files are those of a study by poses: at the true machine they are explained to within their noise."""
+    path = calibrations.write_simulation(tmp_path)
+    frame = "[instrument.frames]\nbase = [{ position_mm = [100.0, -20.0, 3.0], rotation_deg = [0.0, 0.0, 90.0] }]\n"
+    studies.edit(path, "[sensors]", f'[instrument]\nkind = "poses"\nposition_um = 5.0\n{frame}\n[sensors]')
+    made = studies.simulate(path)
+    table = {name: pd.read_csv(StringIO(text), comment="#") for name, text in made.files.items()}
+    seen, true = table["poses.csv"], table["true_poses.csv"]
+    assert list(table["actuators.csv"]) == ["pose", "use", "s_1_mm", "s_2_mm", "s_3_mm"]
+    turned = np.column_stack([100.0 - true["y_mm"], -20.0 + true["x_mm"], 3.0 + true["z_mm"]])
+    off = (seen[["x_mm", "y_mm", "z_mm"]].to_numpy() - turned) / 5e-3
+    assert 0.5 < np.sqrt((off**2).mean()) < 1.6
+    assert set(made.tables["truth"]["parameter"]) >= {"base_x", "base_rz"}
+
+
 # --- faults ----------------------------------------------------------------------------------------------------------
 
 
@@ -324,9 +339,14 @@ def test_faulty_simulation(config, old, new, expected):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("n_poses = 6", "", "n_poses: found none, expected it, or [targets] or [instrument]"),
+        ("n_poses = 6", "", "n_poses: found none, expected it, or [poses] with legs"),
         ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
         ("[sensors]", 'model = "six_ups"\n[sensors]', "provenance.model: unknown key"),
+        (
+            "[sensors]",
+            '[instrument]\nkind = "poses"\nposition_um = 5.0\norientation_arcsec = 2.0\n[sensors]',
+            "how its tool",
+        ),
         (
             "n_poses = 6",
             'n_poses = 6\nmodel = "six_ups"',
