@@ -13,8 +13,6 @@ import own_arm
 import studies
 
 from bayescal.files.csv_tables import read_table
-from bayescal.machines.kinematics import guess_home_pose
-from bayescal.machines.read import load_mechanism
 
 EFFORT = {"ensembles": "4", "walkers": "24", "burn_in": "3", "steps": "40", "draws": "1000", "max_draws": "1000"}
 OF_LEGS = {"walkers": "32", "burn_in": "5", "prior_width_factors": "[1.0]", "separate_by_leg": "false"}
@@ -274,8 +272,6 @@ def _noise(um: Mapping[str, float] | None = None, arcsec: Mapping[str, float] | 
 
 
 INDEPENDENT = '\n[model_error]\nterms = ["random"]\n'  # functions of the pose take most of the time
-SEEN = {"x": 5.0, "y": 5.0, "z": 5.0}
-TURNED = {"rx": 2.0, "ry": 2.0, "rz": 2.0}
 READINGS = {
     "sliding platform": Readings(
         (studies.EXPERIMENTS / "sliding_star" / "machine.toml").read_text(),
@@ -377,23 +373,18 @@ INSTRUMENT = ("--position-um", 5, "--orientation-arcsec", 2, "--shift-um", 200)
 POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 
-def _write_legs(folder: Path, variant: str, half: float, reach: float, more: str) -> Written:
-    """Write what is asked of a study of legs that is there, and the same legs as a machine of readings."""
+def _write_legs(folder: Path, variant: str, half: float, reach: float) -> Written:
+    """Write what is asked of a study of legs that is there, and the same with all errors together."""
     asked = NEXT.format(variant=variant, required="z", limit=1.0) + ASKED_OF_LEGS.format(half=half, reach=reach)
     tables = [{"file": "data/targets.csv", "actuators": "data/actuators.csv"}]
     _write_questions(folder, variant, asked, 'symbols = ["l"]\nscale_um = 20.0\nseparate_by_leg = false', tables)
-    general = Readings(
-        'kind = "legs"\nname = "legs"\nmechanism = "mechanism.toml"\nmodel = "six_pus"\n',
-        _noise({"rho": 1.0, **SEEN}, TURNED),
-        _normal(l=0.3),
-        own="rho",
-        few='["l"]',
-        more=f"\n[workspace]\n{more}\n",
-        beside=lambda there: shutil.copy(folder / "mechanism.toml", there),
-        n_poses=6,
-    )
-    general.prepare(folder / "general")
-    together = folder / "general" / "together.toml"
+    text = (folder / "study.toml").read_text()
+    text = re.sub(r"(?ms)^\[(model_error|sampler|evidence|validation|sensitivity)\].*?(?=^\[|\Z)", "", text)
+    known = re.sub(r"(?m)^kappa = \{.*\n", "", text.partition("[[variants]]")[0])
+    errors = TOGETHER.format(own="rho", few='["l"]', scale=0.01, function="scale_um = 5.0")
+    seen = 'name = "together"\nmodel = "six_pus"\ndeformation = "none"'
+    together = folder / "together.toml"
+    together.write_text(known + errors.replace('name = "together"', seen) + SAMPLER.format(steps=6))
     return Written(folder, variant, together, folder / "data" / "actuators.csv", POSE, INSTRUMENT, "six_pus/none")
 
 
@@ -401,7 +392,7 @@ def write_telescope(folder: Path) -> Written:
     """Write the telescope's tiny study."""
     path = studies.write_tiny_study(folder)
     _shrink(path)
-    return _write_legs(folder, "six_pus/matrix", 0.3, 1.2, _around(folder, 1.0, 0.05))
+    return _write_legs(folder, "six_pus/matrix", 0.3, 1.2)
 
 
 def write_hexaglide(folder: Path) -> Written:
@@ -416,7 +407,7 @@ def write_hexaglide(folder: Path) -> Written:
         text.replace('free = ["a_y", "a_z", "b_x", "l", "u_y", "u_z", "kappa"]', 'free = ["l", "u_y", "kappa"]')
     )
     _shrink(path)
-    return _write_legs(folder, "six_pus/none", 20.0, 100.0, _around(folder, 50.0, 2.0))
+    return _write_legs(folder, "six_pus/none", 20.0, 100.0)
 
 
 def _shrink(path: Path) -> None:
@@ -424,13 +415,6 @@ def _shrink(path: Path) -> None:
     for key, value in (EFFORT | OF_LEGS).items():
         text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
     path.write_text(text)
-
-
-def _around(folder: Path, mm: float, deg: float) -> str:
-    """Return bounds about the nominal home as TOML."""
-    home = guess_home_pose(load_mechanism(folder / "mechanism.toml"))[0]
-    places = [f"{axis} = [{x - mm:.6f}, {x + mm:.6f}]" for axis, x in zip("xyz", home, strict=True)]
-    return "\n".join([*places, *(f"r{axis} = [{-deg}, {deg}]" for axis in "xyz")])
 
 
 MACHINES: dict[str, Callable[[Path], Written]] = {
