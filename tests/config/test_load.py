@@ -91,9 +91,7 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
     path = study if old in study.read_text() else study.with_name("simulate.toml")
     studies.edit(path, old, new)
     line = next(n for n, row in enumerate(path.read_text().splitlines(), start=1) if new in row)
-    message = fail(load_experiment, path)
-    assert f"line {line}: {field}: unknown key" in message
-    assert f"did you mean {suggestion!r}?" in message
+    assert re.search(rf"line {line}: {re.escape(field)}: unknown .*{suggestion!r}\?", fail(load_experiment, path))
 
 
 # --- wrong values ----------------------------------------------------------------------------------------------------
@@ -151,7 +149,7 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
 def test_missing_value_is_not_blamed_on_the_same_key_elsewhere(study, old, field):
     study.write_text(re.sub(old, "", study.read_text(), flags=re.MULTILINE))
     message = fail(load_experiment, study)
-    assert f"{field}: missing, expected a value" in message
+    assert f"{field}: missing" in message
     assert ".sd" not in field or f"line {studies.find_line(study, 'l = {')}:" in message
 
 
@@ -160,21 +158,21 @@ def test_variant_twice(study):
     assert "'six_pus/matrix' is" in fail(load_experiment, study)
 
 
-@pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "a fixed value")])
+@pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "fixed")])
 def test_freeing_a_parameter_without_prior(study, symbol, why):
     studies.edit(study, 'free = ["l"]', f'free = ["{symbol}"]')
-    message = fail(load_experiment, study)
-    assert f"frees {symbol!r}, which has {why}" in message
+    assert re.search(f"frees {symbol!r}.* {why}", fail(load_experiment, study))
 
 
 # --- kind, files -----------------------------------------------------------------------------------------------------
 
 
-def test_misspelt_kind(study):
+def test_wrong_kind(study):
     studies.edit(study, 'kind = "study"', 'kind = "studdy"')
     kinds = ", ".join(sorted(list_references("KINDS")))
-    found = fail(load_experiment, study)
-    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {kinds}" in found
+    assert re.search(rf"kind: found 'studdy'.* 'study'\?.* {kinds}", fail(load_experiment, study))
+    studies.edit(study, 'kind = "studdy"\n', "")
+    assert "kind: found None" in fail(load_experiment, study)
 
 
 def test_a_wrong_model_is_told_with_its_line(study):
@@ -182,11 +180,6 @@ def test_a_wrong_model_is_told_with_its_line(study):
     line = studies.find_line(study, 'model = "six_puss"')
     said = f"line {line}: variants.1.model: found 'six_puss', did you mean 'six_pus'?"
     assert said in fail(load_experiment, study)
-
-
-def test_missing_kind(study):
-    studies.edit(study, 'kind = "study"\n', "")
-    assert "kind: found None" in fail(load_experiment, study)
 
 
 @pytest.mark.parametrize("value", ["", "eleven", '"eleven', "2 mm", "11\nseed = 12", "11\n[data"])
@@ -273,7 +266,7 @@ def test_faulty_mechanism(study, old, new, expected):
 def test_five_legs_are_too_few(study):
     path = study.with_name("mechanism.toml")
     path.write_text(path.read_text().replace("[265.0, ", "[").replace("[220.0, ", "["))
-    assert "found 5 legs, expected at least 6" in fail(load_mechanism, path)
+    assert re.search(r"found 5 legs, .*\bleast 6", fail(load_mechanism, path))
 
 
 def test_flexures_by_rod_or_by_numbers(study):
@@ -363,3 +356,4 @@ def test_fault_between_files(data_study, name, old, new, expected):
     with pytest.raises(InputError, match=re.escape(expected)) as caught:
         studies.load_study(data_study)
     assert "\n" not in str(caught.value)
+    assert name != "mechanism.toml" or f"{data_study.with_name(name)}: " in str(caught.value)

@@ -163,17 +163,17 @@ def test_collinear_as_seen(folder):
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "place"),
     [
-        lambda row: [*row[:3], *(f"{1e-3 * float(x):.9f}" for x in row[3:])],
-        lambda row: [*row[:3], "1", "2", "3"] if row[:2] == ["C02", "base"] else row,
-        lambda row: [*row[:4], "0", "0"] if row[:2] == ["C02", "base"] else row,
+        (lambda row: [*row[:3], *(f"{1e-3 * float(x):.9f}" for x in row[3:])], "pose 'C01': base"),
+        (lambda row: [*row[:3], "1", "2", "3"] if row[:2] == ["C02", "platform"] else row, "pose 'C02': platform"),
+        (lambda row: [*row[:4], "0", "0"] if row[:2] == ["C02", "base"] else row, "pose 'C02': base"),
     ],
     ids=["metres", "all in one point", "measured on a line"],
 )
-def test_targets_that_fit_no_rigid_body_are_refused(folder, change):
+def test_targets_that_fit_no_rigid_body_are_refused(folder, change, place):
     change_rows(folder / FILES[0], change)
-    with pytest.raises(InputError, match="consistent targets, expected at least 3") as caught:
+    with pytest.raises(InputError, match=rf"targets\.csv: {place}: found \d consistent .* 3\b") as caught:
         studies.load_study(folder / "study.toml")
     assert "\n" not in str(caught.value)
 
