@@ -141,7 +141,7 @@ def test_own_class_is_refused_on_demand(own, where, monkeypatch):
 def test_own_kind_is_refused_on_demand(own, kind):
     config = own[0].with_name("kind.toml")
     config.write_text(f'kind = "{kind}"\nname = "x"\ntitle = "x"\nseed = 1\n')
-    assert "expected one of audit" in judge_refusal(["run", config, "--no-custom-code"], config.parent)
+    assert "audit, " in judge_refusal(["run", config, "--no-custom-code"], config.parent).partition("expected")[2]
     assert not own[1].exists()
 
 

@@ -173,7 +173,7 @@ def test_draws_go_on_until_the_standard_error_is_reached(problem):
 
 def test_no_density_anywhere_is_an_error():
     proposal = MixtureProposal(np.ones(1), np.zeros((1, 2)), np.eye(2)[None], 8.0)
-    with pytest.raises(NumericalError, match="importance sampling: no finite density"):
+    with pytest.raises(NumericalError, match="finite density"):
         estimate_by_importance(lambda y: np.full(len(y), -np.inf), proposal, np.random.default_rng(1), 100)
 
 

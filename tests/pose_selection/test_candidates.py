@@ -118,8 +118,8 @@ def test_candidate_outside():
 
 
 def test_shape_of_candidates():
-    assert "expected rows of 6 numbers" in line_of(lambda: candidates_at(pose_problems.yu_domain(), np.zeros((4, 5))))
-    assert "expected rows of 6 numbers" in line_of(lambda: candidates_at(pose_problems.yu_domain(), np.zeros((0, 6))))
+    for shape in ((4, 5), (0, 6)):
+        assert "6 numbers" in line_of(lambda shape=shape: candidates_at(pose_problems.yu_domain(), np.zeros(shape)))
 
 
 def test_singular_pose_is_named():
@@ -187,10 +187,10 @@ def test_bad_criteria():
     line = line_of(lambda: IOptimality(problem.candidates.seen.located.tool, np.zeros(6)))
     assert line.startswith("criterion I: found limits 0, 0, 0, 0, 0, 0, ")
     line = line_of(lambda: AOptimality(chosen=(42,)).weight_root(42))
-    assert line == "criterion A: found parameters (42,), expected 0 to 41"
+    assert re.fullmatch(r"criterion A: .*\b42\b.* 0 to 41", line)
 
 
 def test_bad_numbers_of_candidates():
     domain = pose_problems.yu_domain()
-    assert "expected at least 1" in line_of(lambda: random_candidates(domain, 0, np.random.default_rng(0)))
-    assert "expected at least 2" in line_of(lambda: even_candidates(domain, 10, np.random.default_rng(0), 1))
+    assert "least 1" in line_of(lambda: random_candidates(domain, 0, np.random.default_rng(0)))
+    assert "least 2" in line_of(lambda: even_candidates(domain, 10, np.random.default_rng(0), 1))
