@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -137,15 +138,18 @@ def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name,
 
 def test_unknown_claims(refuse, study):
     studies.edit(Path(study), "seed = 11", 'seed = 11\npublished_claims = "rr8096"')
-    assert "claims: found 'rr8096', expected file.py:Class" in refuse("run", study)
+    assert "claims: found 'rr8096'" in refuse("run", study)
 
 
 def test_kind_of_another_command(refuse, study):
-    assert "kind: found 'study', expected 'simulation'" in refuse("simulate", study, "--out", "x")
-    for path, kind in ((study, "study"), ("simulate.toml", "simulation")):
-        assert f"kind: found {kind!r}, expected 'audit'" in refuse("audit", path)
     figure5 = studies.EXPERIMENTS / "rr8096" / "figure5.toml"
-    assert "kind: found 'pose_methods.py:PoseMethods', expected 'study'" in refuse("poses-from-targets", figure5)
+    for command, path, kind, expected in (
+        ("simulate", study, "study", "simulation"),
+        ("audit", study, "study", "audit"),
+        ("audit", "simulate.toml", "simulation", "audit"),
+        ("poses-from-targets", figure5, "pose_methods.py:PoseMethods", "study"),
+    ):
+        assert f"kind: found {kind!r}, expected {expected!r}" in refuse(command, path, "--out", "x")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -280,13 +284,13 @@ def test_poses_match_the_true_ones(call, study, to_file):
     # the covariance leaves out the actuators' 1 µm, which moves the truth by some µm
     sd = 1e-3 * np.sqrt(table.numbers(("cov_x_x", "cov_y_y", "cov_z_z")))
     assert (np.abs(position - truth.position) < 5 * np.hypot(sd, 0.005)).all()
-    assert "Simulated, never measured" in Path("new/poses.csv").read_text().splitlines()[0]
+    assert "Simulated, " in Path("new/poses.csv").read_text().splitlines()[0]
 
 
 def test_method_of_poses(call, refuse, study):
     robust = call("poses-from-targets", study)[1]
     assert call("poses-from-targets", study, "--method", "robust")[1] == robust
-    assert "--method: found 'robst', did you mean 'robust'?" in refuse("poses-from-targets", study, "--method", "robst")
+    assert re.search("--method: found 'robst'.*'robust'", refuse("poses-from-targets", study, "--method", "robst"))
 
 
 # --- report, compare -------------------------------------------------------------------------------------------------

@@ -188,7 +188,7 @@ def combine_errors(use: Use) -> None:
     if 'kind = "legs"' in use.cell:
         code, said, complaint = use.call("compare", use.place.results, results)
         assert (code, said, complaint.count("\n")) == (2, "", 1)
-        assert "expected the same data" in complaint
+        assert "same data" in complaint
 
 
 def validate(use: Use) -> None:
@@ -278,7 +278,7 @@ def certify(use: Use) -> None:
     assert np.isfinite(numbers).all()
     page = html.unescape(re.sub(r"<[^>]+>", "", path.read_text()))
     _, _, without = use.cell.partition("; no ISO figures: ")
-    assert ("ISO 9283 pose accuracy AP" in page) == ("with figures of ISO" in use.cell) == (not without)
+    assert ("accuracy AP" in page) == ("with figures" in use.cell) == (not without)
     assert without in page
 
 
