@@ -136,11 +136,6 @@ def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name,
     assert expected in refuse(command, study, "--out", "new/out")
 
 
-def test_unknown_claims(refuse, study):
-    studies.edit(Path(study), "seed = 11", 'seed = 11\npublished_claims = "rr8096"')
-    assert "claims: found 'rr8096'" in refuse("run", study)
-
-
 def test_kind_of_another_command(refuse, study):
     figure5 = studies.EXPERIMENTS / "rr8096" / "figure5.toml"
     for command, path, kind, expected in (
@@ -233,14 +228,6 @@ def test_a_narrow_uniform_prior_is_no_failure(call, study, quick, search_little)
     assert code in (0, 3)
     assert len(studies.list_errors(err)) <= 1
     assert Path("out/summary.json").exists()
-
-
-def test_a_bare_number_for_a_tolerance_is_told_how_to_state_it(call, study):
-    studies.edit(Path(study), '{ prior = "normal", sd = 2.0 }', "0.3")
-    code, _, err = call("validate", study)
-    assert code == 2
-    (error,) = studies.list_errors(err)
-    assert 'found 0.3, expected { prior = "normal", sd = 0.3 }' in error
 
 
 def test_console_script_refuses_in_one_line(study, tmp_path):

@@ -110,9 +110,11 @@ def test_format_and_read_round_trip(path):
     np.testing.assert_array_equal(table.numbers(("x_mm", "y_mm")), [[0.1, 2.0], [-1e-7, 3.0]])
 
 
-def test_a_matrix_has_its_legs_by_name(path):
+def test_legs_stand_in_any_order(path):
     path.write_text("drho_2_1e-3,drho_1_1e-3\n1,2\n3,4\n")
     np.testing.assert_array_equal(read_matrix(path, 2), [[2, 1], [4, 3]])
+    path.write_text("dx,leg\n1,2\n3,1\n")
+    np.testing.assert_array_equal(read_by_leg(path, ("dx",), 2), [[3], [1]])
 
 
 @pytest.mark.parametrize("header", ["a,b", "rho_1,rho_3", "rho_01,rho_2", "rho_1_mm,rho_1"])
@@ -120,11 +122,6 @@ def test_a_matrix_without_the_legs_numbers(path, header):
     path.write_text(f"{header}\n1,2\n")
     with pytest.raises(InputError, match="drho_1 to drho_2"):
         read_matrix(path, 2)
-
-
-def test_rows_of_legs_in_any_order(path):
-    path.write_text("dx,leg\n1,2\n3,1\n")
-    np.testing.assert_array_equal(read_by_leg(path, ("dx",), 2), [[3], [1]])
 
 
 @pytest.mark.parametrize(

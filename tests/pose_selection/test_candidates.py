@@ -117,11 +117,6 @@ def test_candidate_outside():
     assert re.fullmatch(r"candidates: found 0 of 500 .* 5", line)
 
 
-def test_shape_of_candidates():
-    for shape in ((4, 5), (0, 6)):
-        assert "6 numbers" in line_of(lambda shape=shape: candidates_at(pose_problems.yu_domain(), np.zeros(shape)))
-
-
 def test_singular_pose_is_named():
     domain = flat_struts()
     shares = np.zeros((8, 6))
@@ -139,7 +134,6 @@ def test_too_few_poses():
     measured = pose_problems.build_problem("O1").candidates.placed.actuators[:2]
     line = line_of(lambda: pose_problems.build_problem("O1", n=4, measured=measured))
     assert re.fullmatch(r"poses: found 4, .* 5 for 42 .* 2 measured", line)
-    assert line_of(lambda: pose_problems.build_problem("D", n=0)).startswith("poses: found 0, expected at least 1")
 
 
 def test_too_few_distinct_candidates():
@@ -182,15 +176,20 @@ def test_actuators_of_redundant_legs_do_not_move_freely():
     assert problem.blocks.shape == (30, 7, 14)
 
 
-def test_bad_criteria():
-    problem = pose_problems.build_problem("O1")
-    line = line_of(lambda: IOptimality(problem.candidates.seen.located.tool, np.zeros(6)))
-    assert line.startswith("criterion I: found limits 0, 0, 0, 0, 0, 0, ")
-    line = line_of(lambda: AOptimality(chosen=(42,)).weight_root(42))
-    assert re.fullmatch(r"criterion A: .*\b42\b.* 0 to 41", line)
-
-
-def test_bad_numbers_of_candidates():
-    domain = pose_problems.yu_domain()
-    assert "least 1" in line_of(lambda: random_candidates(domain, 0, np.random.default_rng(0)))
-    assert "least 2" in line_of(lambda: even_candidates(domain, 10, np.random.default_rng(0), 1))
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: candidates_at(pose_problems.yu_domain(), np.zeros((4, 5))), " 6 numbers"),
+        (lambda: candidates_at(pose_problems.yu_domain(), np.zeros((0, 6))), " 6 numbers"),
+        (lambda: random_candidates(pose_problems.yu_domain(), 0, np.random.default_rng(0)), "least 1"),
+        (lambda: even_candidates(pose_problems.yu_domain(), 10, np.random.default_rng(0), 1), "least 2"),
+        (lambda: pose_problems.build_problem("D", n=0), "^poses: found 0, .* 1"),
+        (lambda: AOptimality(chosen=(42,)).weight_root(42), r"^criterion A: .*\b42\b.* 0 to 41$"),
+        (
+            lambda: IOptimality(pose_problems.build_problem("O1").candidates.seen.located.tool, np.zeros(6)),
+            "^criterion I: found limits 0, 0, 0, 0, 0, 0, ",
+        ),
+    ],
+)
+def test_bad_numbers(build, said):
+    assert re.search(said, line_of(build))
