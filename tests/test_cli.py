@@ -33,22 +33,6 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
 @pytest.fixture
-def refuse(call, tmp_path):
-    """Return a function that checks a refusal (code 2, one line, nothing written) and returns the line."""
-
-    def check(*arguments: object) -> str:
-        before = studies.snapshot(tmp_path)
-        code, out, err = call(*arguments)
-        assert (code, out) == (2, "")
-        assert err.startswith("bayescal: ")
-        assert err.count("\n") == 1
-        assert studies.snapshot(tmp_path) == before
-        return err
-
-    return check
-
-
-@pytest.fixture
 def study(tmp_path, monkeypatch) -> Path:
     """Return the config of a tiny study with its data, in the current directory."""
     monkeypatch.chdir(tmp_path)
@@ -107,8 +91,8 @@ def test_help_of_every_command_shows_an_example(call, command):
         (("report", "a", "b"), "unexpected extra argument"),
     ],
 )
-def test_wrong_usage(refuse, study, arguments, expected):
-    message = refuse(*arguments)
+def test_wrong_usage(refuse_here, study, arguments, expected):
+    message = refuse_here(*arguments)
     assert expected.lower() in message.lower()
     assert "--help" in message
 
@@ -131,12 +115,12 @@ def test_wrong_usage(refuse, study, arguments, expected):
     ],
 )
 @pytest.mark.parametrize("command", ["run", "poses-from-targets"])
-def test_bad_input_is_one_line_and_nothing_written(refuse, study, command, name, old, new, expected):
+def test_bad_input_is_one_line_and_nothing_written(refuse_here, study, command, name, old, new, expected):
     studies.edit(Path(name), old, new)
-    assert expected in refuse(command, study, "--out", "new/out")
+    assert expected in refuse_here(command, study, "--out", "new/out")
 
 
-def test_kind_of_another_command(refuse, study):
+def test_kind_of_another_command(refuse_here, study):
     figure5 = studies.EXPERIMENTS / "rr8096" / "figure5.toml"
     for command, path, kind, expected in (
         ("simulate", study, "study", "simulation"),
@@ -144,13 +128,13 @@ def test_kind_of_another_command(refuse, study):
         ("audit", "simulate.toml", "simulation", "audit"),
         ("poses-from-targets", figure5, "pose_methods.py:PoseMethods", "study"),
     ):
-        assert f"kind: found {kind!r}, expected {expected!r}" in refuse(command, path, "--out", "x")
+        assert f"kind: found {kind!r}, expected {expected!r}" in refuse_here(command, path, "--out", "x")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_out_without_permission(refuse, study, tmp_path):
+def test_out_without_permission(refuse_here, study, tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
-    refuse("run", study, "--out", "locked/out")
+    refuse_here("run", study, "--out", "locked/out")
 
 
 FULL = {"disk": errno.ENOSPC, "quota": errno.EDQUOT, "ulimit -f": errno.EFBIG}
@@ -274,19 +258,19 @@ def test_poses_match_the_true_ones(call, study, to_file):
     assert "Simulated, " in Path("new/poses.csv").read_text().splitlines()[0]
 
 
-def test_method_of_poses(call, refuse, study):
+def test_method_of_poses(call, refuse_here, study):
     robust = call("poses-from-targets", study)[1]
     assert call("poses-from-targets", study, "--method", "robust")[1] == robust
-    assert re.search("--method: found 'robst'.*'robust'", refuse("poses-from-targets", study, "--method", "robst"))
+    assert re.search("--method: found 'robst'.*'robust'", refuse_here("poses-from-targets", study, "--method", "robst"))
 
 
 # --- report, compare -------------------------------------------------------------------------------------------------
 
 
-def test_report_of_what_is_no_results_directory(refuse, study):
-    assert "nowhere" in refuse("report", "nowhere")
-    refuse("report", "data")
-    refuse("report", "study.toml")
+def test_report_of_what_is_no_results_directory(refuse_here, study):
+    assert "nowhere" in refuse_here("report", "nowhere")
+    refuse_here("report", "data")
+    refuse_here("report", "study.toml")
 
 
 @pytest.mark.parametrize(
@@ -315,16 +299,16 @@ def test_report_of_what_is_no_results_directory(refuse, study):
         ('{"kind": "selection", "tables": {}, "config": 1}', "found damaged results (AttributeError: "),
     ],
 )
-def test_report_of_results_that_no_experiment_wrote(refuse, tmp_path, provenance, expected):
+def test_report_of_results_that_no_experiment_wrote(refuse_here, tmp_path, provenance, expected):
     (tmp_path / "provenance.json").write_text(provenance)
     (tmp_path / "summary.json").write_text("{}")
     if '"a"' in provenance:
         (tmp_path / "x.csv").write_text("a\n1\n")
-    assert expected in refuse("report", tmp_path)
+    assert expected in refuse_here("report", tmp_path)
 
 
 @pytest.mark.runs
-def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, quick, search_little):
+def test_compare_ranks_studies_of_the_same_data(call, refuse_here, study, finished, quick, search_little):
     shutil.copytree(finished, "first")
     call("run", study, "--out", "second", "--workers", 1, "--seed", 12)
     code, out, err = call("compare", "first", "second")
@@ -334,11 +318,11 @@ def test_compare_ranks_studies_of_the_same_data(call, refuse, study, finished, q
     shutil.copytree("first", "third")
     digest = json.loads(Path("first/provenance.json").read_text())["files"]["data/actuators.csv"]
     studies.edit(Path("third/provenance.json"), digest, "0" * 64)
-    assert "actuators differs" in refuse("compare", "first", "third")
-    assert "nowhere" in refuse("compare", "first", "nowhere")
-    refuse("compare", "data")
+    assert "actuators differs" in refuse_here("compare", "first", "third")
+    assert "nowhere" in refuse_here("compare", "first", "nowhere")
+    refuse_here("compare", "data")
     Path("third/summary.json").write_text("{}")
-    assert "third" in refuse("compare", "third")
+    assert "third" in refuse_here("compare", "third")
 
 
 # --- every experiment runs -------------------------------------------------------------------------------------------
