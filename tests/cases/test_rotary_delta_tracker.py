@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import line_of
 
 from bayescal import cli
 from bayescal.calibrated.predict import predict_poses
@@ -82,9 +83,7 @@ def test_a_tolerance_without_a_value_may_be_left_out(study):
 
 def test_a_stated_frame_that_the_readings_contradict_is_refused(study):
     edit(study, (r"^frame_deg = .*", "frame_deg = [0.0, 0.0, 0.0]"))
-    with pytest.raises(InputError, match=r"instruments\.tracker.* mm .*frame_deg = \[-4\.\d+, -0\.\d+, 112\.") as error:
-        read(study)
-    assert "\n" not in str(error.value)
+    assert re.search(r"instruments\.tracker.* mm .*frame_deg = \[-4\.\d+, -0\.\d+, 112\.", line_of(read, study))
 
 
 def test_a_wide_tolerance_about_zero_leads_to_the_same_machine(study):

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import studies
 from papers import pose_methods
+from refusals import line_of
 
 from bayescal.config.registry import list_references
-from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
@@ -30,10 +30,7 @@ def study(tmp_path) -> Path:
 
 def fail(loader, path: Path, said: str = "expected") -> str:
     """Return the one-line message with which loading fails."""
-    with pytest.raises(InputError) as caught:
-        loader(path)
-    message = str(caught.value)
-    assert "\n" not in message
+    message = line_of(loader, path)
     assert message.startswith(str(path))
     assert said in message
     return message
@@ -355,7 +352,6 @@ def data_study(tmp_path) -> Path:
 )
 def test_fault_between_files(data_study, name, old, new, expected):
     studies.edit(data_study.with_name(name), old, new)
-    with pytest.raises(InputError, match=re.escape(expected)) as caught:
-        studies.load_study(data_study)
-    assert "\n" not in str(caught.value)
-    assert name != "mechanism.toml" or f"{data_study.with_name(name)}: " in str(caught.value)
+    line = line_of(studies.load_study, data_study)
+    assert expected in line
+    assert name != "mechanism.toml" or f"{data_study.with_name(name)}: " in line

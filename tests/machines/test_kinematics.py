@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import telescope_machines as machines
+from refusals import line_of
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.machines.deformations import LinearDeformation, NominalDeformation
@@ -119,11 +120,7 @@ def telescope(request):
 
 def fail(solve, *arguments):
     """Return the one line with which a solver fails."""
-    with pytest.raises(NumericalError) as caught:
-        solve(*arguments)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
+    return line_of(solve, *arguments, error=NumericalError)
 
 
 def far_poses():

@@ -8,11 +8,13 @@ import json
 import os
 import pickle
 import random
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import line_of
 from studies import snapshot, write_texts
 
 from bayescal.errors import InputError
@@ -205,9 +207,7 @@ def test_what_stands_there_is_not_replaced(store, there):
     put_there, said = REFUSED[there]
     put_there(store)
     before = snapshot(store.out.parent)
-    with pytest.raises(InputError, match=said) as caught:
-        store.check_results({**IDENTITY, "config": IDENTITY["config"] | {"seed": 2}})
-    assert "\n" not in str(caught.value)
+    assert re.search(said, line_of(store.check_results, {**IDENTITY, "config": IDENTITY["config"] | {"seed": 2}}))
     assert snapshot(store.out.parent) == before
 
 
@@ -319,9 +319,7 @@ def test_read_json_says_what_is_wrong(tmp_path):
         (lambda: path.write_bytes(b"\xff"), "not UTF-8"),
     ):
         prepare()
-        with pytest.raises(InputError, match=expected) as caught:
-            read_json(path)
-        assert "\n" not in str(caught.value)
+        assert re.search(expected, line_of(read_json, path))
 
 
 def test_a_task_of_another_run_is_not_finished(store):
