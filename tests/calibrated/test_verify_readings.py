@@ -173,7 +173,7 @@ def test_a_shift_that_nothing_shows_is_refused_by_name(delta):
 
 
 def test_too_small_a_shift_says_how_often_it_would_be_found(delta):
-    with pytest.raises(InputError, match=r"6 poses detect a shift of l\[\d\] by 1 µm with .* %, expected 95 %"):
+    with pytest.raises(InputError, match=r"6 poses .* l\[\d\] by 1 µm .* 95 %"):
         plan_for(delta, ["l"], delta[1], size=1e-3)
 
 
@@ -251,6 +251,6 @@ def test_readings_without_a_pose_or_noise_are_refused(results, call, tmp_path):
     path = tmp_path / "read.csv"
     path.write_text("pose,cam_x_mm,cam_y_mm,height_mm\nR01,1.0,2.0,3.0\n")
     judged = ("verify", results, "--trust-code", "--allow-unconverged", "--measured", path)
-    assert "found no s[1], s[2], s[3], expected it, or --actuators PLAN.csv" in call(*judged)[2]
+    assert re.search(r"s\[1\], s\[2\], s\[3\].* --actuators", call(*judged)[2])
     (tmp_path / "plan.csv").write_text("pose,s_1_mm,s_2_mm,s_3_mm\nR02,200.0,200.0,200.0\n")
-    assert "pose 'R01': not in" in call(*judged, "--actuators", tmp_path / "plan.csv")[2]
+    assert "pose 'R01':" in call(*judged, "--actuators", tmp_path / "plan.csv")[2]

@@ -58,9 +58,10 @@ def test_each_solution_is_a_machine_with_a_probability(results, call, tmp_path):
     assert set(table["verdict"].xs("b", level="parameter")) == {"several"}
     assert table["contraction"].xs("b", level="parameter").isna().all()
     assert set(table["verdict"].drop(index="b", level="parameter")) == {"identifiable"}
-    page = (results / "report.html").read_text()
-    assert "Solutions of All" in page
-    assert "at least halved." not in page
+    findings = pd.read_csv(results / "tables" / "findings.csv").set_index("subject")
+    assert (findings.loc["Several solutions", ["value", "status"]] == [2, "warning"]).all()
+    assert "Parameters" not in findings.index  # of which all would be known well
+    assert "<h2>Solutions of" in (results / "report.html").read_text()
 
     code, _, complaint = call("export", results, "--out", tmp_path / "none")
     assert code == 2

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import studies
 from papers import pose_methods
+from refusals import line_of
 
 from bayescal.config.registry import list_references
-from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
@@ -30,10 +30,7 @@ def study(tmp_path) -> Path:
 
 def fail(loader, path: Path, said: str = "expected") -> str:
     """Return the one-line message with which loading fails."""
-    with pytest.raises(InputError) as caught:
-        loader(path)
-    message = str(caught.value)
-    assert "\n" not in message
+    message = line_of(loader, path)
     assert message.startswith(str(path))
     assert said in message
     return message
@@ -91,9 +88,7 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
     path = study if old in study.read_text() else study.with_name("simulate.toml")
     studies.edit(path, old, new)
     line = next(n for n, row in enumerate(path.read_text().splitlines(), start=1) if new in row)
-    message = fail(load_experiment, path)
-    assert f"line {line}: {field}: unknown key" in message
-    assert f"did you mean {suggestion!r}?" in message
+    assert re.search(rf"line {line}: {re.escape(field)}: unknown .*{suggestion!r}\?", fail(load_experiment, path))
 
 
 # --- wrong values ----------------------------------------------------------------------------------------------------
@@ -113,6 +108,7 @@ def test_misspelt_key_suggests_the_nearest(study, old, new, field, suggestion):
         ("sd = 2.0", "sd = -2.0", "parameters.l.sd", "-2.0"),
         ("sd = 2.0", "sd = [1, 2, 3, 4, 5, -6]", "parameters.l.sd.5", "-6"),
         ('"normal", sd = 2.0', '"gauss", sd = 2.0', "parameters.l", "'gauss'"),
+        ('{ prior = "normal", sd = 2.0 }', "0.3", "parameters.l", '0.3, expected { prior = "normal", sd = 0.3 }'),
         ('prior = "normal", sd = 2.0', "sd = 2.0", "parameters.l", "no key 'prior'"),
         ("kappa = 0.011", "kappa = 1979-05-27", "deformation.kappa", "datetime.date"),
         ("seed = 11", "seed = 11.0", "seed", "11.0"),
@@ -151,7 +147,7 @@ def test_wrong_value_names_field_and_value(study, old, new, field, found):
 def test_missing_value_is_not_blamed_on_the_same_key_elsewhere(study, old, field):
     study.write_text(re.sub(old, "", study.read_text(), flags=re.MULTILINE))
     message = fail(load_experiment, study)
-    assert f"{field}: missing, expected a value" in message
+    assert f"{field}: missing" in message
     assert ".sd" not in field or f"line {studies.find_line(study, 'l = {')}:" in message
 
 
@@ -160,21 +156,21 @@ def test_variant_twice(study):
     assert "'six_pus/matrix' is" in fail(load_experiment, study)
 
 
-@pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "a fixed value")])
+@pytest.mark.parametrize(("symbol", "why"), [("a_x", "no prior"), ("b_z", "fixed")])
 def test_freeing_a_parameter_without_prior(study, symbol, why):
     studies.edit(study, 'free = ["l"]', f'free = ["{symbol}"]')
-    message = fail(load_experiment, study)
-    assert f"frees {symbol!r}, which has {why}" in message
+    assert re.search(f"frees {symbol!r}.* {why}", fail(load_experiment, study))
 
 
 # --- kind, files -----------------------------------------------------------------------------------------------------
 
 
-def test_misspelt_kind(study):
+def test_wrong_kind(study):
     studies.edit(study, 'kind = "study"', 'kind = "studdy"')
     kinds = ", ".join(sorted(list_references("KINDS")))
-    found = fail(load_experiment, study)
-    assert f"kind: found 'studdy', did you mean 'study'?, expected one of {kinds}" in found
+    assert re.search(rf"kind: found 'studdy'.* 'study'\?.* {kinds}", fail(load_experiment, study))
+    studies.edit(study, 'kind = "studdy"\n', "")
+    assert "kind: found None" in fail(load_experiment, study)
 
 
 def test_a_wrong_model_is_told_with_its_line(study):
@@ -182,11 +178,6 @@ def test_a_wrong_model_is_told_with_its_line(study):
     line = studies.find_line(study, 'model = "six_puss"')
     said = f"line {line}: variants.1.model: found 'six_puss', did you mean 'six_pus'?"
     assert said in fail(load_experiment, study)
-
-
-def test_missing_kind(study):
-    studies.edit(study, 'kind = "study"\n', "")
-    assert "kind: found None" in fail(load_experiment, study)
 
 
 @pytest.mark.parametrize("value", ["", "eleven", '"eleven', "2 mm", "11\nseed = 12", "11\n[data"])
@@ -273,7 +264,7 @@ def test_faulty_mechanism(study, old, new, expected):
 def test_five_legs_are_too_few(study):
     path = study.with_name("mechanism.toml")
     path.write_text(path.read_text().replace("[265.0, ", "[").replace("[220.0, ", "["))
-    assert "found 5 legs, expected at least 6" in fail(load_mechanism, path)
+    assert re.search(r"found 5 legs, .*\bleast 6", fail(load_mechanism, path))
 
 
 def test_flexures_by_rod_or_by_numbers(study):
@@ -346,6 +337,7 @@ def data_study(tmp_path) -> Path:
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),
         ("study.toml", "sd = 2.0", "sd = [1.0, 2.0]", "parameters.l: found 2 values, expected 1 or 6"),
         ("study.toml", "offset = 0.0", "offset = [1, 2]", "parameters.b_z: found 2 values, expected 1 or 6"),
+        ("study.toml", "seed = 11", 'seed = 11\npublished_claims = "rr8096"', "published_claims: found 'rr8096'"),
         ("study.toml", 'matrix = "targets"', 'matrix = "K.csv"', "K.csv: no such file"),
         ("study.toml", '"mechanism.toml"', '"mechanics.toml"', "mechanics.toml: no such file"),
         ("study.toml", '"mechanism.toml"', '"me\\u0000chanics.toml"', "found control characters"),
@@ -360,6 +352,6 @@ def data_study(tmp_path) -> Path:
 )
 def test_fault_between_files(data_study, name, old, new, expected):
     studies.edit(data_study.with_name(name), old, new)
-    with pytest.raises(InputError, match=re.escape(expected)) as caught:
-        studies.load_study(data_study)
-    assert "\n" not in str(caught.value)
+    line = line_of(studies.load_study, data_study)
+    assert expected in line
+    assert name != "mechanism.toml" or f"{data_study.with_name(name)}: " in line

@@ -178,7 +178,8 @@ def test_another_process_is_sent_a_schema_that_checks(folder, tmp_path_factory):
     script += "type(found).model_validate({'study': {'of': 'one', 'count': 3}})"
     done = subprocess.run([sys.executable, "-c", script, kept], capture_output=True, text=True, cwd=kept.parent)
     assert done.stdout == "2\n{'study': {'of': 'two'}}\n"
-    assert "Value error, three" in done.stderr
+    assert "ValidationError" in done.stderr
+    assert ", three" in done.stderr
 
 
 def test_files_beside_are_no_installed_modules(folder):

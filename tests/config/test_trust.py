@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import py_compile
+import re
 import subprocess
 import sys
 from contextlib import nullcontext
@@ -65,7 +66,7 @@ def test_trusted_code_runs_until_it_changes(stranger, mark, call):
     assert not mark.exists()
     code, out, err = call("validate", stranger)
     assert code == 0
-    assert err == f"bayescal: running code of linear_delta.py in {stranger.parent}\n"
+    assert re.fullmatch(rf"bayescal: running .*linear_delta\.py in {stranger.parent}\n", err)
     assert mark.exists()
     module = stranger.with_name("linear_delta.py")
     module.write_text(module.read_text() + "# another\n")
@@ -100,7 +101,7 @@ def test_whoever_sits_at_a_terminal_is_asked_once(answer, code, stranger, mark, 
     monkeypatch.setattr("typer.confirm", lambda text, err: asked.append(text) or answer)
     assert call("validate", stranger)[0] == code
     assert len(asked) == 1
-    assert f"code (linear_delta.py in {stranger.parent}) that nobody has trusted" in asked[0]
+    assert f"(linear_delta.py in {stranger.parent})" in asked[0]
     assert mark.exists() == answer
     assert call("validate", stranger)[0] == code
     assert len(asked) == 1 if answer else 2
@@ -128,7 +129,7 @@ def test_no_file_outside_of_the_configs_folder_is_run(where, tmp_path, mark, cal
     (inside / "toy.toml").write_text(TOY.format(f"{where.format(folder=tmp_path)}:Toy"))
     code, out, err = call("validate", inside / "toy.toml", "--trust")
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "expected a file in" in err
+    assert str(inside) in err.partition("expected")[2]
     assert not mark.exists()
     assert list_code(inside) == []
 
@@ -154,7 +155,7 @@ def test_only_the_text_that_was_trusted_is_run(form, tmp_path, mark, monkeypatch
     monkeypatch.delitem(sys.modules, "helper", raising=False)
     (tmp_path / "machine.toml").write_text('kind = "own.py:Own"\n')
     assert bc.trust(tmp_path)[0].name == "own.py"
-    with pytest.raises(bc.InputError, match="whose import fails") if form == "link" else nullcontext():
+    with pytest.raises(bc.InputError, match=r"own.py:Own.* import fails") if form == "link" else nullcontext():
         load_class("MACHINES", "own.py:Own", tmp_path)
     assert not mark.exists()
 
@@ -221,7 +222,7 @@ def test_the_code_of_a_new_project_is_trusted(tmp_path, call):
 
 
 def test_python_runs_a_class_it_is_given_and_no_file_of_a_stranger(stranger, mark, monkeypatch):
-    with pytest.raises(bc.InputError, match="that nobody has trusted"):
+    with pytest.raises(bc.InputError, match="bayescal trust"):
         bc.load_machine(stranger.with_name("machine.toml"))
     assert not mark.exists()
     monkeypatch.syspath_prepend(stranger.parent)

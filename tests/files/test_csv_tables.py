@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import line_of
 
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_by_leg, read_matrix, read_table
@@ -21,11 +22,8 @@ def path(tmp_path) -> Path:
 
 def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
     """Return the one-line message with which reading fails."""
-    with pytest.raises(InputError) as caught:
-        read_table(path, columns).numbers(("x_mm", "y_mm"))
-    message = str(caught.value)
+    message = line_of(lambda: read_table(path, columns).numbers(("x_mm", "y_mm")))
     assert message.startswith(str(path))
-    assert "\n" not in message
     return message
 
 
@@ -70,7 +68,7 @@ def test_missing_file_directory_and_binary(path):
 
 def test_empty_name_is_an_error(path):
     path.write_text("pose,x_mm,y_mm\nA,1,2\n ,1,2\n")
-    with pytest.raises(InputError, match=re.escape(f"{path}, line 3: pose: found an empty cell, expected a name")):
+    with pytest.raises(InputError, match=re.escape(f"{path}, line 3: pose:")):
         read_table(path, COLUMNS).text("pose")
 
 
@@ -110,9 +108,11 @@ def test_format_and_read_round_trip(path):
     np.testing.assert_array_equal(table.numbers(("x_mm", "y_mm")), [[0.1, 2.0], [-1e-7, 3.0]])
 
 
-def test_a_matrix_has_its_legs_by_name(path):
+def test_legs_stand_in_any_order(path):
     path.write_text("drho_2_1e-3,drho_1_1e-3\n1,2\n3,4\n")
     np.testing.assert_array_equal(read_matrix(path, 2), [[2, 1], [4, 3]])
+    path.write_text("dx,leg\n1,2\n3,1\n")
+    np.testing.assert_array_equal(read_by_leg(path, ("dx",), 2), [[3], [1]])
 
 
 @pytest.mark.parametrize("header", ["a,b", "rho_1,rho_3", "rho_01,rho_2", "rho_1_mm,rho_1"])
@@ -120,11 +120,6 @@ def test_a_matrix_without_the_legs_numbers(path, header):
     path.write_text(f"{header}\n1,2\n")
     with pytest.raises(InputError, match="drho_1 to drho_2"):
         read_matrix(path, 2)
-
-
-def test_rows_of_legs_in_any_order(path):
-    path.write_text("dx,leg\n1,2\n3,1\n")
-    np.testing.assert_array_equal(read_by_leg(path, ("dx",), 2), [[3], [1]])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ class Reading(TableRow, table="readings"):
 
     pose: str = column("name of the pose")
     use: Literal["fit", "check"] = column("what it is for")
-    value: float = column("what was read", "mm")
+    value: float = column("as read", "mm")
     count: int = column("how often")
     is_good: bool | None = column("whether it is", default=None)
     others: Mapping[str, float] = field(default_factory=dict)
@@ -99,4 +99,4 @@ def test_a_table_that_is_not_as_declared_is_refused(change, wanted, tmp_path):
 
 
 def test_the_reference_lists_columns_with_units():
-    assert Reading.describe()[2] == ("value", "mm", "what was read")
+    assert Reading.describe()[2] == ("value", "mm", "as read")

@@ -134,13 +134,13 @@ def test_reading_that_fails_is_bad_input(ground, tmp_path, monkeypatch):
 
 def test_what_is_refused_late_fails_and_leaves_nothing(ground, tmp_path, monkeypatch):
     def refuse(*_: object) -> None:
-        raise InputError("found something late")
+        raise InputError("found late")
 
     monkeypatch.setattr(Simulation, "compute", refuse)
     call = ["run", ground.root / SIMULATION, "--out", tmp_path / "a" / "out", "--quiet"]
     outcome = judge_call(call, tmp_path)
     assert (outcome.code, outcome.faults) == (3, ())
-    assert f"found something late ({frame.FOUND_LATE})" in outcome.err
+    assert f"found late ({frame.FOUND_LATE})" in outcome.err
     assert list(tmp_path.iterdir()) == []
 
 

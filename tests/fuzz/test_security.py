@@ -135,18 +135,14 @@ def test_own_class_is_refused_on_demand(own, where, monkeypatch):
     said = judge_refusal(list(arguments.get(where, ["validate", config])), config.parent)
     assert "found 'linear_delta.py:LinearDelta'," in said
     assert not mark.exists()
+    monkeypatch.delenv("BAYESCAL_NO_CUSTOM_CODE", raising=False)
+    assert judge_call(["validate", config]).code == 0  # it was for one call
+    assert mark.exists()
 
 
 @pytest.mark.parametrize("kind", ["linear_delta.py:LinearDelta", "os:system", "antigravity:x"])
 def test_own_kind_is_refused_on_demand(own, kind):
     config = own[0].with_name("kind.toml")
     config.write_text(f'kind = "{kind}"\nname = "x"\ntitle = "x"\nseed = 1\n')
-    assert "expected one of audit" in judge_refusal(["run", config, "--no-custom-code"], config.parent)
+    assert "audit, " in judge_refusal(["run", config, "--no-custom-code"], config.parent).partition("expected")[2]
     assert not own[1].exists()
-
-
-def test_own_class_is_imported_where_the_config_names_it_and_no_plugins_lasts_for_one_call(own):
-    assert judge_call(["validate", own[0], "--no-custom-code"]).code == 2
-    assert not own[1].exists()
-    assert judge_call(["validate", own[0]]).code == 0
-    assert own[1].exists()

@@ -154,7 +154,7 @@ def compare(density, proposal, n_steps=40, seed=1):
 @pytest.mark.parametrize("name", ["minor mode", "bend", "long tail"])
 def test_tails_that_a_short_run_lacks_are_named(name):
     (said,) = compare(*MISSED[name]).list_problems()
-    assert "use more steps" in said
+    assert "more steps" in said
 
 
 @pytest.mark.parametrize("name", CLEAN)
@@ -182,7 +182,7 @@ def test_a_small_lack_and_one_by_chance_are_not_said():
     assert not TailShare(0.05, 0.01, 0.02).list_problems()
     assert not TailShare(0.0, 0.0, 0.0).list_problems()
     assert TailShare(0.05, 0.01, 0.01).list_problems()
-    assert "inf standard errors" in TailShare(0.05, 0.0, 0.0).list_problems()[0]  # of draws that none lies far out
+    assert "(inf " in TailShare(0.05, 0.0, 0.0).list_problems()[0]  # standard errors of draws that none lies far out
 
 
 def test_a_proposal_gets_the_tails_that_a_posterior_has():

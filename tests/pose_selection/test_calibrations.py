@@ -100,5 +100,5 @@ def test_draws_that_are_no_machine_are_drawn_anew():
 def test_tolerances_without_machines_are_an_error():
     seen = see(share=1.0, deformation="none")
     wild = {n: NormalPrior(p.mean, 40.0) if n.startswith("u_x") else p for n, p in seen.design.priors.items()}
-    with pytest.raises(InputError, match="tolerances: found machines"):
+    with pytest.raises(InputError, match="tolerances: "):
         simulate_calibrations(replace(seen.design, priors=wild).see(seen.placed), 5, np.random.default_rng(0))

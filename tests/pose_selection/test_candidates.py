@@ -10,8 +10,8 @@ import numpy as np
 import pose_problems
 import pytest
 import telescope_machines as machines
+from refusals import line_of
 
-from bayescal.errors import InputError
 from bayescal.pose_selection import (
     ActuatorBox,
     SelectionProblem,
@@ -90,36 +90,23 @@ def bad_shares(place: int, value: float) -> np.ndarray:
     return shares
 
 
-def line_of(function) -> str:
-    """Return the message of the InputError that a function raises."""
-    with pytest.raises(InputError) as caught:
-        function()
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_non_finite_candidate(value):
-    line = line_of(lambda: candidates_at(pose_problems.yu_domain(), bad_shares(6, value)))
+    line = line_of(candidates_at, pose_problems.yu_domain(), bad_shares(6, value))
     assert line.startswith(f"candidate 7: found the coordinate {value:g},")
-    line = line_of(lambda: candidates_at_actuators(pose_problems.telescope_domain(), bad_shares(2, value)))
+    line = line_of(candidates_at_actuators, pose_problems.telescope_domain(), bad_shares(2, value))
     assert line.startswith(f"candidate 3: found the coordinate {value:g},")
 
 
 def test_candidate_outside():
-    line = line_of(lambda: candidates_at(pose_problems.yu_domain(), bad_shares(4, 1.5)))
+    line = line_of(candidates_at, pose_problems.yu_domain(), bad_shares(4, 1.5))
     assert line.startswith("candidate 5: ")
     domain = pose_problems.telescope_domain(np.full(6, 1e-3))
-    line = line_of(lambda: candidates_at(domain, np.full((1, 6), 0.5)))
+    line = line_of(candidates_at, domain, np.full((1, 6), 0.5))
     assert line.startswith("candidate 1 (z 0.65")
     assert line.endswith(": outside actuator range or workspace")
-    line = line_of(lambda: random_candidates(domain, 5, np.random.default_rng(0)))
+    line = line_of(random_candidates, domain, 5, np.random.default_rng(0))
     assert re.fullmatch(r"candidates: found 0 of 500 .* 5", line)
-
-
-def test_shape_of_candidates():
-    assert "expected rows of 6 numbers" in line_of(lambda: candidates_at(pose_problems.yu_domain(), np.zeros((4, 5))))
-    assert "expected rows of 6 numbers" in line_of(lambda: candidates_at(pose_problems.yu_domain(), np.zeros((0, 6))))
 
 
 def test_singular_pose_is_named():
@@ -128,7 +115,7 @@ def test_singular_pose_is_named():
     shares[:, 2] = np.linspace(0.9, 0.2, 8)
     shares[5] = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
     candidates = candidates_at(domain, shares)
-    line = line_of(lambda: SelectionProblem(candidates, O1(), 8))
+    line = line_of(SelectionProblem, candidates, O1(), 8)
     assert line.startswith(f"candidate 6 (z {-domain.half[2]:.4g} mm")
     assert line.endswith("singular pose Jacobian J_1")
 
@@ -139,13 +126,12 @@ def test_too_few_poses():
     measured = pose_problems.build_problem("O1").candidates.placed.actuators[:2]
     line = line_of(lambda: pose_problems.build_problem("O1", n=4, measured=measured))
     assert re.fullmatch(r"poses: found 4, .* 5 for 42 .* 2 measured", line)
-    assert line_of(lambda: pose_problems.build_problem("D", n=0)).startswith("poses: found 0, expected at least 1")
 
 
 def test_too_few_distinct_candidates():
     shares = np.tile(np.random.default_rng(0).uniform(-1, 1, (8, 6)), (5, 1))
     candidates = candidates_at(pose_problems.yu_domain(), shares)
-    line = line_of(lambda: SelectionProblem(candidates, O1(), 9))
+    line = line_of(SelectionProblem, candidates, O1(), 9)
     assert re.fullmatch(r"candidates: found 8 distinct of 40 .* 9", line)
     selected = SelectionProblem(candidates, O1(), 8)
     assert sorted(selected.draw_set(np.random.default_rng(0)).tolist()) == list(range(8))
@@ -169,28 +155,33 @@ def test_measured_pose_out_of_reach():
 
 @pytest.mark.parametrize("half", [np.zeros(6), np.full(6, np.nan), np.full(6, -1.0), np.ones(5)])
 def test_bad_workspace(half):
-    assert line_of(lambda: WorkspaceBox(pose_problems.yu_design(), half)).startswith("workspace: found half widths")
-    assert line_of(lambda: pose_problems.telescope_domain(half)).startswith("workspace: found half widths")
+    assert line_of(WorkspaceBox, pose_problems.yu_design(), half).startswith("workspace: found half widths")
+    assert line_of(pose_problems.telescope_domain, half).startswith("workspace: found half widths")
 
 
 def test_actuators_of_redundant_legs_do_not_move_freely():
     machine = machines.build_machine("none", machines.build_random_mechanism(7, 0))
-    assert "7 legs, expected 6" in line_of(lambda: ActuatorBox(audit_problems.build_knowledge(machine)))
+    assert "7 legs, expected 6" in line_of(ActuatorBox, audit_problems.build_knowledge(machine))
     design = replace(audit_problems.build_knowledge(machine, ("a_x", "l")), **pose_problems.MEASURED)
     domain = WorkspaceBox(design, np.array([1, 1, 1, 0.01, 0.01, 0.01]))
     problem = SelectionProblem(random_candidates(domain, 30, np.random.default_rng(0)), DOptimality(), 4)
     assert problem.blocks.shape == (30, 7, 14)
 
 
-def test_bad_criteria():
-    problem = pose_problems.build_problem("O1")
-    line = line_of(lambda: IOptimality(problem.candidates.seen.located.tool, np.zeros(6)))
-    assert line.startswith("criterion I: found limits 0, 0, 0, 0, 0, 0, ")
-    line = line_of(lambda: AOptimality(chosen=(42,)).weight_root(42))
-    assert line == "criterion A: found parameters (42,), expected 0 to 41"
-
-
-def test_bad_numbers_of_candidates():
-    domain = pose_problems.yu_domain()
-    assert "expected at least 1" in line_of(lambda: random_candidates(domain, 0, np.random.default_rng(0)))
-    assert "expected at least 2" in line_of(lambda: even_candidates(domain, 10, np.random.default_rng(0), 1))
+@pytest.mark.parametrize(
+    ("build", "said"),
+    [
+        (lambda: candidates_at(pose_problems.yu_domain(), np.zeros((4, 5))), " 6 numbers"),
+        (lambda: candidates_at(pose_problems.yu_domain(), np.zeros((0, 6))), " 6 numbers"),
+        (lambda: random_candidates(pose_problems.yu_domain(), 0, np.random.default_rng(0)), "least 1"),
+        (lambda: even_candidates(pose_problems.yu_domain(), 10, np.random.default_rng(0), 1), "least 2"),
+        (lambda: pose_problems.build_problem("D", n=0), "^poses: found 0, .* 1"),
+        (lambda: AOptimality(chosen=(42,)).weight_root(42), r"^criterion A: .*\b42\b.* 0 to 41$"),
+        (
+            lambda: IOptimality(pose_problems.build_problem("O1").candidates.seen.located.tool, np.zeros(6)),
+            "^criterion I: found limits 0, 0, 0, 0, 0, 0, ",
+        ),
+    ],
+)
+def test_bad_numbers(build, said):
+    assert re.search(said, line_of(build))

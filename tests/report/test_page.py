@@ -176,7 +176,7 @@ def test_nothing_is_written_through_links(tmp_path):
     elsewhere = tmp_path / "elsewhere"
     (folder / "figures").rename(elsewhere)
     (folder / "figures").symlink_to(elsewhere)
-    with pytest.raises(InputError, match="found a link, expected a directory"):
+    with pytest.raises(InputError, match="a link"):
         write_page(make_page(Figure("b", "B", draw)), folder)
     assert not (elsewhere / "b.png").exists()
 
@@ -188,7 +188,7 @@ def test_a_figure_is_the_same_whatever_matplotlibrc_says():
 
 
 def test_figures_need_names_of_their_own():
-    with pytest.raises(ValueError, match=r"figure 'a' is twice"):
+    with pytest.raises(ValueError, match=r"figure 'a' .*twice"):
         make_page(Figure("a", "", draw), Fold("", (Figure("a", "", draw),)))
     with pytest.raises(ValueError, match=r"figure '\.\./a':"):
         Figure("../a", "", draw)
@@ -223,7 +223,8 @@ def test_a_figure_tells_its_values_and_what_is_seen():
     assert markup.startswith("<svg ")
     assert "<title>&lt;beam&gt;; Error (µm) 8.6</title>" in markup
     assert "<title>τ = 0; six_pus; Error (µm) 1</title>" in markup
-    assert 'aria-label="across Error (µm) from 0 to 9; upwards six_pus and &lt;beam&gt;; shown: τ = 0."' in markup
+    told = r'aria-label="[^"]*Error \(µm\)[^"]* 0 to 9;[^"]*six_pus and &lt;beam&gt;;[^"]*τ = 0\."'
+    assert re.search(told, markup)
     ids = re.findall(r' id="([^"]+)"', markup)
     assert ids
     assert all(one.startswith("errors-") for one in ids)
@@ -293,7 +294,7 @@ def make_scene() -> Scene:
 
 def test_a_machine_can_be_turned_and_is_seen_without_a_script():
     text = render_page(make_page(make_scene()), {})
-    assert "<b> 1: 100, 0, 10 mm; found 0.5, 0, 0 mm from there" in unescape(text)
+    assert re.search(r"<b> 1: 100, 0, 10 mm;.* 0\.5, 0, 0 mm", unescape(text))
     assert text.count('class="moved"') == 1
     data = re.search(r'data-scene="([^"]+)"', text)
     assert data is not None

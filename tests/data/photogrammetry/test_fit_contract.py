@@ -163,7 +163,7 @@ def test_a_wrong_target_moves_the_line_but_not_the_robust_fit():
 def test_what_has_no_line_is_refused():
     line = np.outer(np.linspace(0, 50, 6), [0.0, 0.0, 1.0])
     cube = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-    with pytest.raises(InputError, match="mm longer than wide"):
+    with pytest.raises(InputError, match="longer than"):
         fit_line(cube, cube, NOISE)
     with pytest.raises(InputError, match="farther"):
         fit_line(*[line + 0.035 * np.tile([[1, 0, 0], [-1, 0, 0]], (3, 1))] * 2, NOISE)
@@ -191,5 +191,5 @@ def test_a_study_takes_least_squares_and_names_the_pose_it_refuses(tmp_path):
     assert (np.abs(plain.position - other.position) < 2.0 * sd).all()
     assert (sd < np.sqrt(np.diagonal(other.covariance, axis1=1, axis2=2))[:, :3]).all()
     studies.edit(config, "target_noise_um = 3.0", "target_noise_um = 0.3")
-    with pytest.raises(InputError, match=r"pose 'C\d+': base: found residuals .* noise stated 0\.3 µm, noise seen "):
+    with pytest.raises(InputError, match=r"pose 'C\d+': base: .* stated 0\.3 µm.* seen "):
         studies.load_study(config)

@@ -106,7 +106,7 @@ def test_input_errors_of_the_measurement():
     fit = fit_rigid_body(rigid, on_body, NOISE)
     empty = on_ring.copy()
     empty[1, leg == 3] = np.nan
-    with pytest.raises(InputError, match="fit 1: pad of leg 3: "):
+    with pytest.raises(InputError, match=r"fit 1: .* leg 3: "):
         measure_joint_deflection(fit, ring, empty, leg, NOISE, N_LEGS)
     with pytest.raises(InputError, match="expected 1 to 6"):
         measure_joint_deflection(fit, ring, on_ring, np.minimum(leg, 5), NOISE, N_LEGS)
@@ -160,14 +160,14 @@ def test_input_errors_of_the_models():
     rng = np.random.default_rng(12)
     actuator = rng.uniform(-3, 3, (9, 6))
     ring = correlated_ring(np.eye(6), actuator, np.eye(6), rng)
-    with pytest.raises(InputError, match="found 9 poses of rank 2"):
+    with pytest.raises(InputError, match="9 poses of rank 2"):
         fit_matrix_deformation(ring, actuator[:, :2] @ rng.uniform(-1, 1, (2, 6)))
     five = JointDeflection(ring.displacement[:5], ring.covariance[:5])
     with pytest.raises(InputError, match="found 5 poses"):
         fit_matrix_deformation(five, actuator[:5])
     with pytest.raises(InputError, match="found 3 poses"):
         fit_linear_deformation(JointDeflection(ring.displacement[:3], ring.covariance[:3]), actuator[:3])
-    with pytest.raises(InputError, match="no movement of actuator 4"):
+    with pytest.raises(InputError, match="actuator 4"):
         fit_linear_deformation(ring, actuator * (np.arange(6) != 3))
     with pytest.raises(InputError, match="expected \\(9, 6\\)"):
         fit_matrix_deformation(ring, actuator[:8])

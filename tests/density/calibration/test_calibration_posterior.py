@@ -133,7 +133,7 @@ def test_projections_hold_beside_constraints(weight, rng):
 
 def test_fit_says_where_there_is_no_machine(rng):
     posterior, _, pose = lines_posterior(rng)
-    with pytest.raises(NumericalError, match="found no reading"):
+    with pytest.raises(NumericalError, match="no reading"):
         fit_jointly(posterior, np.zeros(posterior.n_parameters), np.full_like(pose, np.nan))
 
 

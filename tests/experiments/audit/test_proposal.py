@@ -36,7 +36,7 @@ def test_proposed_poses_are_better_where_nothing_errs_but_by_noise(name):
     plan = problems.read_shipped(name).without_systematic_errors()
     said, proposed = propose(plan)
     _, again = propose(plan)
-    assert said == "40 poses chosen I-optimally"
+    assert said.startswith("40 poses")
     assert np.array_equal(again.variant.start, proposed.variant.start)
     assert proposed.n_poses == plan.n_poses
     assert not proposed.is_beyond_range
@@ -73,7 +73,7 @@ def test_audits_list_proposed_poses_last(camera, monkeypatch):
     change = proposed.scenarios[-1]
     assert [one.name for one in proposed.scenarios[:-1]] == [one.name for one in plain.scenarios]
     assert [one.name for one in plain.scenarios] == [one.name for one in list_changes(camera)]
-    assert (change.name, change.n_poses, change.beyond_range) == ("40 poses chosen I-optimally", 40, False)
+    assert (change.n_poses, change.beyond_range) == (40, False)
     said, before = summarise(proposed), summarise(plain)
     for one in (*said["directions"], *before["directions"]):  # the proposal may be what helps a direction most
         one.pop("best_scenario", None)

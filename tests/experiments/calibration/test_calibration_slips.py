@@ -13,7 +13,7 @@ from shares import run_rest
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.run import read_results
-from bayescal.experiments.shared.slips import FoundSlip
+from bayescal.experiments.shared.slips import CORRECTED, FoundSlip
 
 CARRIAGES, CAMERA = ["s_1_mm", "s_2_mm", "s_3_mm"], ["cam_x_mm", "cam_y_mm"]
 SLIPS = {
@@ -69,15 +69,14 @@ def test_the_likely_cause_of_readings_far_off_is_said(drawn, slip):
     finally:
         restore()
     assert len(doubts) == (said is not None)
-    assert said is None or f"times better if corrected: {said}" in doubts[0]
+    assert said is None or doubts[0].partition(CORRECTED)[2].startswith(said)
 
 
 @pytest.mark.runs
 def test_a_run_that_would_find_no_machine_is_refused_with_the_likely_cause(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
     said, _ = plant(path, "exchanged")
-    said = re.escape(f"times better if corrected: {said}")
-    refuse(said, tmp_path / "out", "run", path, "--quiet", "--workers", 1)
+    refuse(re.escape(f"{CORRECTED}{said}"), tmp_path / "out", "run", path, "--quiet", "--workers", 1)
 
 
 @pytest.mark.runs
@@ -88,7 +87,7 @@ def test_page_summary_and_terminal_begin_with_it(tmp_path, call, no_pictures, mo
     calibrations.change(path, '[[variants]]\nname = "one_rod"\ntitle = "Rods of one length"\ntied = ["l"]\n', "")
     code, out, _ = call("run", path, "--out", tmp_path / "out", "--workers", 1)
     assert code == 3
-    assert "rows of s seem shifted" in " ".join(out.split())
+    assert said.text in " ".join(out.split())
     results = read_results(tmp_path / "out")
     assert results.summary["suspected_data_error"] == vars(said)
     page = load(path)[0].page(results)

@@ -204,4 +204,4 @@ def test_an_own_term_and_functions_run_to_a_page(tmp_path, monkeypatch):
     assert "own_errors.py" in provenance["files"]
     names = set(pd.read_csv(tmp_path / "out" / "tables" / "parameters.csv")["parameter"])
     assert {"wander(wander)", "edge", "sigma_g(motors, s[1])"} <= names
-    assert "Systematic sensor errors" in (tmp_path / "out" / "report.html").read_text()
+    assert "<h2>Systematic" in (tmp_path / "out" / "report.html").read_text()

@@ -51,6 +51,8 @@ CASES = {
             "[workspace]\nx = [1.0, 0.0]\n[sampler]",
             "workspace.x: found 1 to 0",
         ),
+        "a channel without a column": (TABLE_LINE, f'{TABLE_LINE}\nchannels = ["s", "rx"]', "no column of 'rx'"),
+        "read twice": ("[sensors]", f"[[data]]\n{TABLE_LINE}\n\n[sensors]", "second reading of s[1] at pose 'C001'"),
         "commanded and unknown": (TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["q"]', "no column of 'q'"),
         "commanded by an instrument": (
             TABLE_LINE,
@@ -168,12 +170,6 @@ def test_a_model_of_legs_for_another_machine(tmp_path, refuse):
     refuse(path, "model: found 'six_pus', expected none for")
 
 
-def test_a_second_reading_of_the_same_pose(tmp_path, refuse):
-    path = calibrations.write_delta(tmp_path)
-    calibrations.change(path, "[sensors]", '[[data]]\nfile = "data/readings.csv"\n\n[sensors]')
-    refuse(path, "found a second reading of s[1] at pose 'C001'")
-
-
 def test_a_commanded_channel_without_a_column_or_a_cell(tmp_path, refuse):
     path = calibrations.write_delta(tmp_path)
     calibrations.change(path, TABLE_LINE, f'{TABLE_LINE}\ncommanded_channels = ["s"]')
@@ -187,9 +183,3 @@ def test_a_commanded_channel_without_a_column_or_a_cell(tmp_path, refuse):
     lines[4] = ",".join([*cells[:3], "", *cells[4:]])
     table.write_text("\n".join(lines) + "\n")
     refuse(path, "line 5: found no s[2], expected it by data.commanded_channels")
-
-
-def test_a_table_without_the_channels_it_should_have(tmp_path, refuse):
-    path = calibrations.write_delta(tmp_path)
-    calibrations.change(path, 'file = "data/readings.csv"', 'file = "data/readings.csv"\nchannels = ["s", "rx"]')
-    refuse(path, "found no column of 'rx'")

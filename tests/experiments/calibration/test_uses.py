@@ -109,8 +109,7 @@ def test_the_kept_code_is_run_only_where_somebody_says_so(what, results, call, d
     before = studies.snapshot(results)
     code, out, err = call("predict", results / what, table)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "machine.toml: kind: found 'linear_delta.py:LinearDelta': code (linear_delta.py in " in err
-    assert "bayescal trust" in err
+    assert re.search(r"machine\.toml: kind: found 'linear_delta\.py:LinearDelta'.*bayescal trust", err)
     assert studies.snapshot(results) == before
 
 
@@ -124,12 +123,12 @@ def test_a_posterior_that_was_changed_is_refused(use, results, call, tmp_path, v
     given = {"compensate": [results / "poses.csv"], "predict": [table]}.get(use, [])
     code, out, err = call(use, folder, *given, "--out", tmp_path / "out.html")
     assert (code, out) == (2, "")
-    assert f"{folder}: found posterior/all.nc edited, expected unchanged files, or --allow" in err
+    assert f"{folder}: found posterior/all.nc edited," in err
     assert not (tmp_path / "out.html").exists()
     if use == "predict":
         code, out, err = call(use, folder, *given, "--allow-changed-files")
         assert code == 0
-        assert f"{folder}: found posterior/all.nc edited: used (--allow-changed-files)\n" in err
+        assert "posterior/all.nc edited: used" in err
 
 
 def test_kept_code_that_was_changed_is_refused(results, call, tmp_path):

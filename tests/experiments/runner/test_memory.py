@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import calibrated_machines as made_up
 import pytest
 import studies
@@ -23,9 +25,7 @@ NEED = MemoryEstimate(shared=1.0 * GIB, each=2.0 * GIB, sizes="many poses", reme
 def test_every_process_counts(monkeypatch):
     monkeypatch.setattr(memory, "measure_available", lambda: 5.0 * GIB)
     check_memory(NEED, 1)
-    with pytest.raises(
-        InputError, match=r"memory: found many poses, which take about 5.8 GiB with 2 workers, with 5.0 "
-    ):
+    with pytest.raises(InputError, match=r"memory: .*many poses.* 5\.8 GiB .*2 workers.* 5\.0 "):
         check_memory(NEED, 2)
     check_memory(NEED, 0)  # others compute
     check_memory(MemoryEstimate(), 100)  # nothing is known
@@ -47,7 +47,7 @@ def test_a_container_is_smaller_than_its_host(monkeypatch, tmp_path):
 def test_a_study_is_refused_and_writes_nothing(monkeypatch, tmp_path):
     path = studies.write_tiny_study(tmp_path)
     monkeypatch.setattr(memory, "measure_available", lambda: 0.2 * GIB)
-    with pytest.raises(InputError, match=r"found 16 poses, 12 parameters and 2 variants, .* expected fewer poses"):
+    with pytest.raises(InputError, match=r"16 poses.* 12 parameters.* 2 variants.* fewer poses"):
         run_experiment(load_experiment(path), path.parent, tmp_path / "out")
     assert not list(tmp_path.glob("out*"))
 
@@ -71,13 +71,14 @@ def test_estimates_grow_with_the_sizes(kind, name, key, most):
 
 def test_sizes_are_counted_in_doubles():
     found = estimate_arrays({"poses": 10, "draws": 5}, [(3, 10, 5), (2, 7)], "fewer", kept=[(10,)])
-    assert (found.each, found.shared, found.sizes, found.remedy) == (8.0 * 164, 80.0, "10 poses and 5 draws", "fewer")
+    assert (found.each, found.shared, found.remedy) == (8.0 * 164, 80.0, "fewer")
+    assert re.findall(r"\d+ \w+", found.sizes) == ["10 poses", "5 draws"]
 
 
 def test_tables_that_do_not_fit_are_not_read(monkeypatch, tmp_path):
     path = studies.write_tiny_study(tmp_path)
     monkeypatch.setattr(memory, "READING", 1e9)
-    with pytest.raises(InputError, match=r"memory: found 0 MB of files \(targets.csv the largest\)"):
+    with pytest.raises(InputError, match=r"memory: found 0 MB .*\(targets\.csv "):
         run_experiment(load_experiment(path), path.parent, tmp_path / "out")
 
 

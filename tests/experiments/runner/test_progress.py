@@ -40,7 +40,7 @@ def test_a_pipe_hears_of_long_stages(tmp_path, monkeypatch, capsys):
         stage.done += 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("stage: 2 of 3 done, 0 s, about")
-    assert lines[-1] == "stage: 3 of 3 done, 1 s" or lines[-1] == "stage: 3 of 3 done, 0 s"
+    assert re.fullmatch(r"stage: 3 of 3 .*\b[01] s", lines[-1])
 
 
 @pytest.mark.runs
@@ -69,8 +69,7 @@ def test_a_terminal_shows_it(monkeypatch, folders):
     shown.console = Console(file=io.StringIO(), force_terminal=True, width=120)
     assert Run(progress=shown).map("tasks", staged.take_a_while, 0.8, {"one": 1}) == {"one": 1}
     text = shown.console.file.getvalue()
-    assert "tasks  one: search" in text
-    assert re.search(r"tasks  one: sampling \d+ %", text)
+    assert re.search(r"tasks  one: search.*tasks  one: sampling \d+ %", text, re.DOTALL)
     assert "s left" in text
 
 

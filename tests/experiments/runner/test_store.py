@@ -8,11 +8,13 @@ import json
 import os
 import pickle
 import random
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import line_of
 from studies import snapshot, write_texts
 
 from bayescal.errors import InputError
@@ -169,7 +171,7 @@ def test_write_atomically_leaves_the_old_file_when_killed(tmp_path, monkeypatch)
 
 
 def test_write_atomically_to_a_directory(tmp_path):
-    with pytest.raises(InputError, match="is a directory, expected a file name"):
+    with pytest.raises(InputError, match="is a directory"):
         write_atomically(tmp_path, b"text")
 
 
@@ -192,7 +194,7 @@ def put(name: str, text: str) -> Callable[[Store], None]:
 REFUSED = {
     "of another seed": (lambda store: publish(store, "old"), "another config .*, expected"),
     "a directory": (put("/thesis.tex", "years"), "holds no results, expected a new or a results directory"),
-    "a file": (put("", "years of work"), "holds no results, expected a new or a results directory"),
+    "a file": (put("", "precious"), "holds no results, expected a new or a results directory"),
     **{
         f"provenance {text!r}": (put(f"/{PROVENANCE_FILE}", text), r"provenance\.json")
         for text in ("", "{", "[1]", '"x"', "\x00")
@@ -205,16 +207,14 @@ def test_what_stands_there_is_not_replaced(store, there):
     put_there, said = REFUSED[there]
     put_there(store)
     before = snapshot(store.out.parent)
-    with pytest.raises(InputError, match=said) as caught:
-        store.check_results({**IDENTITY, "config": IDENTITY["config"] | {"seed": 2}})
-    assert "\n" not in str(caught.value)
+    assert re.search(said, line_of(store.check_results, {**IDENTITY, "config": IDENTITY["config"] | {"seed": 2}}))
     assert snapshot(store.out.parent) == before
 
 
 def test_a_foreign_directory_in_the_way_of_the_work_is_not_emptied(tmp_path):
     store = Store(tmp_path / "study")
     store.partial.mkdir()
-    (store.partial / "thesis.tex").write_text("years of work")
+    (store.partial / "thesis.tex").write_text("precious")
     before = snapshot(tmp_path)
     with pytest.raises(InputError, match=r"study\.partial:"):
         store.begin(IDENTITY, resume=False)
@@ -300,7 +300,7 @@ class Bomb:
 
 
 def test_nothing_is_pickled_or_unpickled(store):
-    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
+    with pytest.raises(ValueError, match="Object arrays"):
         store.save_task("k", {"x": np.array([Bomb()], dtype=object)})
     assert store.load_task("k") is None
     np.savez(store.partial / "k.npz", x=np.array([Bomb()], dtype=object))
@@ -319,9 +319,7 @@ def test_read_json_says_what_is_wrong(tmp_path):
         (lambda: path.write_bytes(b"\xff"), "not UTF-8"),
     ):
         prepare()
-        with pytest.raises(InputError, match=expected) as caught:
-            read_json(path)
-        assert "\n" not in str(caught.value)
+        assert re.search(expected, line_of(read_json, path))
 
 
 def test_a_task_of_another_run_is_not_finished(store):
@@ -359,18 +357,18 @@ def test_files_of_others_stay_in_the_results(store, voice):
 
 
 def test_a_file_of_others_among_the_work_is_named_and_stays(store):
-    (store.partial / "thesis.tex").write_text("years of work")
+    (store.partial / "thesis.tex").write_text("precious")
     for resume in (False, True):
         with pytest.raises(InputError, match=r"thesis\.tex: found no"):
             store.begin(IDENTITY, resume=resume)
     publish(store, "new")
     assert contents(store.out) == {"new"}
-    assert (store.partial / "thesis.tex").read_text() == "years of work"
+    assert (store.partial / "thesis.tex").read_text() == "precious"
 
 
 def test_a_directory_that_looks_staged_is_left_alone(store):
     beside = store.out.with_name("study.new.partial")
     beside.mkdir()
-    (beside / "thesis.tex").write_text("years of work")
+    (beside / "thesis.tex").write_text("precious")
     publish(store, "new")
-    assert (beside / "thesis.tex").read_text() == "years of work"
+    assert (beside / "thesis.tex").read_text() == "precious"

@@ -74,8 +74,8 @@ def test_run_report_workers_and_compare(call, tmp_path, monkeypatch):
     for workers in (1, 2):
         code, said, complaint = call("run", path, "--out", tmp_path / f"out{workers}", "--workers", workers)
         assert code == 0, complaint
-        assert "Squares add up to" in said
-        assert "squares: 4 of 4 done" in complaint
+        assert "Squares add" in said
+        assert re.search(r"squares: 4 of 4\b", complaint)
     one, two = (read_all(tmp_path / f"out{n}") for n in (1, 2))
     assert one == two
     assert {"summary.json", "provenance.json", "report.html", "squares.csv", "notes/plain.txt"} <= set(one)
@@ -140,7 +140,7 @@ def test_blocks_of_a_file_are_on_the_page(call, tmp_path, request, monkeypatch):
     total = json.loads(whole["summary.json"])["total"]
     assert f"It is {total!r}." in page
     assert "KeyError: 'no such' (blocks.py," in page.replace("&#39;", "'")
-    assert [one["what"] for one in json.loads(whole["summary.json"])["lost"]] == ["section 'Broken' of the page"]
+    assert ["'Broken'" in one["what"] for one in json.loads(whole["summary.json"])["lost"]] == [True]
     assert "Nothing" not in page.partition("blocks.py")[0]
     assert whole["inputs/blocks.py"] == BLOCKS.encode()
     assert "blocks.py" in json.loads(whole["provenance.json"])["files"]
@@ -249,7 +249,7 @@ def test_a_second_run_on_the_same_results_is_refused(call, tmp_path):
     wait_for_tasks(out)
     code, _, complaint = call("run", path, "--out", out)
     assert (code, complaint.count("\n")) == (2, 1)
-    assert f"another run (process {process.pid}) is there" in complaint
+    assert f"another run (process {process.pid})" in complaint
     os.kill(process.pid, signal.SIGKILL)
     process.communicate()
     assert call("run", path, "--out", out, "--resume", "--quiet")[0] == 0  # the lock died with its process
@@ -266,6 +266,5 @@ def test_a_failure_on_the_way_leaves_the_old_results(call, tmp_path, monkeypatch
     monkeypatch.setattr(frame, "write_page", fail)
     code, said, complaint = call("run", path, "--out", out, "--workers", 1, "--quiet")
     assert (code, said, complaint.count("\n")) == (3, "", 1)
-    assert "No space left" in complaint
-    assert "expected room to write" in complaint
+    assert re.search("No space left .*expected room", complaint)
     assert read_all(out) == before

@@ -251,5 +251,5 @@ def test_the_command_checks_a_calibration(tmp_path, call, no_pictures):
     call("selftest", path, "--variant", "one_rod", "--data-sets", 4, "--out", tmp_path / "out", "--workers", 1)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert list(summary["variants"]) == ["one_rod"]
-    assert summary["data_origin"] == "Simulated, never measured: one machine drawn within its tolerances"
+    assert summary["data_origin"].startswith("Simulated")
     assert "Likely cause" in (tmp_path / "out" / "report.html").read_text()

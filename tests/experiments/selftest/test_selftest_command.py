@@ -44,7 +44,7 @@ def test_faults_open_the_page_and_end_the_command(study, tmp_path, monkeypatch, 
     with pytest.raises(NumericalError, match=r"six_pus/matrix.*\(noise\)"):
         run("selftest", study, "--variant", "six_pus/matrix", "--out", tmp_path / "out", "--workers", "1")
     out = capsys.readouterr().out
-    assert "Noise: The noise is twice as large." in out
+    assert f"Noise: T{fault.text[1:]}" in out
 
 
 def test_the_best_variant_is_checked_where_none_is_named(study, tmp_path, monkeypatch):

@@ -64,7 +64,7 @@ def test_every_number_of_the_page_has_its_status(finished):
     models = found.results.table("models")
     assert (models["exact_efficiency"] > 0.9).all()
     page = (found.results.folder / "report.html").read_text()
-    assert f"Motion of the {name}" in page
+    assert f"<h2>Motion of the {name}" in page
     assert "Expansion" in page
     if name == "channels":
         shifts, channels = found.results.table("shifts"), found.results.table("channels")

@@ -96,4 +96,4 @@ def test_uncertainties_say_their_coverage() -> None:
 
 
 def test_a_headline_is_made_of_sentences() -> None:
-    assert write_headline(["use a; x 1 mm.", "", "nothing required"]) == "Use a; x 1 mm. Nothing required."
+    assert write_headline(["use a; x 1 mm.", "", "none"]) == "Use a; x 1 mm. None."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import planar_rrr
 import pytest
@@ -24,8 +26,7 @@ from bayescal.experiments.shared.outlook import describe_determinacy, join_outlo
 def test_combinations_are_counted_by_their_contraction(size, said):
     text = describe_determinacy("9 readings", np.diag(size), ["a", "b"])
     assert said in text
-    assert ("stays at its tolerance" in text) == (size == [10.0, 0.0])
-    assert ("2 stay at their tolerances" in text) == (size == [0.0, 0.0])
+    assert re.findall(r"\b(\w+) stays? at", text) == ["1"] * (size == [10.0, 0.0]) + ["2"] * (size == [0.0, 0.0])
 
 
 def test_variants_of_which_the_same_is_said_share_a_line():
@@ -36,7 +37,7 @@ def test_three_rows_of_a_calibration_are_said_to_be_few(tmp_path, call):
     path = planar_rrr.write_project(tmp_path / "project", planar_rrr.simulate(3))
     code, out, complaint = call("validate", path)
     assert (code, complaint) == (0, "")
-    assert "variant 'all': 18 readings in 3 rows for 21 + 9 unknowns of machine and poses: " in out
+    assert re.search(r"'all': 18 readings in 3 rows .* 21 \+ 9 unknowns", out)
     found = int(out.partition("machine and poses: ")[2].split()[0])
     stay = int(out.partition(" stay at their tolerances")[0].split()[-1])
     assert 0 < found <= 9  # what 18 readings leave beside nine coordinates

@@ -25,7 +25,7 @@ def make_inputs(poses, seen=True):
 def test_a_zero_that_is_another_is_told_with_its_likely_cause(twin):
     poses = replace(twin, position=twin.position + SHIFT)
     (said,) = doubt_zero(make_inputs(poses))
-    assert "the measured poses lie 110 mm" in said
+    assert "110 mm" in said
     assert "frame offset" in said
     before, after = (find_shift(machines.build_machine("none"), p.position, p.actuators) for p in (twin, poses))
     np.testing.assert_allclose(after[0] - before[0], SHIFT, atol=1e-9)

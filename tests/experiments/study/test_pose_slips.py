@@ -78,7 +78,7 @@ def test_angles_that_were_read_as_vectors_become_the_rotations_they_are(axes, rn
     truth = Rotation.from_euler(axes, angles[:, ["xyz".index(axis) for axis in axes]]).as_matrix()
     read = list_rereads(np.ones((4, 3)), Rotation.from_rotvec(angles).as_matrix())
     (right,) = [text for text, _, rotation in read if np.allclose(rotation, truth, atol=1e-12)]
-    assert f"the fixed axes {', '.join(axes)}:" in right
+    assert f"fixed axes {', '.join(axes)}:" in right
 
 
 def test_poses_of_the_base_are_turned_round_into_those_of_the_platform():

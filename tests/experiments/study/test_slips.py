@@ -12,6 +12,7 @@ from shares import run_rest
 
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.shared.slips import CORRECTED
 from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
 from bayescal.experiments.study.inputs import StudyInputs
 
@@ -49,8 +50,7 @@ def test_likely_cause_is_found_by_trying_it(drawn, what, call):
     with studies.changed_table(drawn / "data" / ACTUATORS, studies.change_actuators(mend)):
         code, out, _ = call("validate", drawn / "study.toml")
     assert code == 3
-    assert "times better if corrected: " in out
-    assert said in out
+    assert said in out.partition(CORRECTED)[2]
 
 
 @pytest.mark.parametrize("seed", run_rest(range(20), 3))
@@ -145,5 +145,5 @@ def test_plan_without_motion_is_refused(drawn, values, tmp_path):
     header = next(line for line in path.read_text().splitlines() if not line.startswith("#"))
     path.write_text(f"{header}\n{values}\n{values}\n")
     config = load_experiment(tmp_path / "simulate.toml")
-    with pytest.raises(InputError, match="equal actuator positions at all 2 poses"):
+    with pytest.raises(InputError, match=r"equal .* 2 poses"):
         build_twin(config, tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 import studies
@@ -39,5 +40,4 @@ def test_another_check_is_refused(checked, call):
     code, _, err = call("run", checked)
     assert code == 2
     (line,) = studies.list_errors(err)
-    assert "evidence.cross_check" in line
-    assert "emcee, nautilus, smc" in line
+    assert re.search(r"evidence\.cross_check: .*emcee, nautilus, smc", line)

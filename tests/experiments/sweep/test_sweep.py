@@ -205,15 +205,15 @@ def test_members_that_fail_are_listed_and_stop_nothing(call, tmp_path):
     members = pd.read_csv(out / "members.csv", keep_default_na=False)
     failed = members[members["noise.level_um"] == 13.0]
     assert set(failed["state"]) == {"failed"}
-    assert set(failed["reason"]) == {"no machine has such a level"}
+    (reason,) = set(failed["reason"])
+    assert reason.endswith("such a level")  # what its class raises, in one line
     assert set(failed["sensors.tracker.a.sd"]) == {""}
     rest = members[members["noise.level_um"] == 1.0]
     assert set(rest.loc[rest["poses"] == 7, "state"]) == {"not converged"}
     assert set(rest.loc[rest["poses"] == 16, "state"]) == {"done"}
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["n_members"], summary["n_failed"], summary["n_not_converged"]) == (20, 10, 5)
-    page = (out / "report.html").read_text()
-    assert "no machine has such a level" in page
+    assert reason in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,8 @@ def test_figures_that_nobody_has_are_said(tmp_path):
     finished = run(path, tmp_path / "out")
     assert any("nothing.of.the.sort" in one.text for one in finished.page.verdict)
     assert math.isnan(finished.results.table("members")["nothing.of.the.sort"][0])
-    assert Sweep().list_failures(finished.results) == ["found nothing.of.the.sort in no member's summary"]
+    (failure,) = Sweep().list_failures(finished.results)
+    assert "nothing.of.the.sort" in failure
 
 
 # --- the shipped one ---------------------------------------------------------------------------------------------

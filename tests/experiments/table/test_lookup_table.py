@@ -14,6 +14,7 @@ from calibrations import change
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.results import Results
+from bayescal.experiments.shared.slips import CORRECTED
 from bayescal.experiments.table.compute import find_table, summarise, tabulate
 from bayescal.experiments.table.inputs import differentiate_correction, plan_measurements, respond
 from bayescal.experiments.table.page import build_page
@@ -196,7 +197,7 @@ def test_actuators_that_do_not_hold_the_platform_are_refused(rail):
     study, text = rail.parent / "study.toml", (rail.parent / "study.toml").read_text()
     try:
         change(study, 'title = "All" }', 'title = "All", sensors = ["x"] }')
-        with pytest.raises(InputError, match="found 0 own readings, expected enough for 1"):
+        with pytest.raises(InputError, match=r"0 own readings.* 1\b"):
             read(rail)
     finally:
         study.write_text(text)
@@ -238,7 +239,7 @@ def test_the_likely_cause_of_readings_far_off_is_said(slip, tmp_path):
     kind, config = load(path)
     doubts = kind.suspect(kind.read(config, tmp_path))
     assert len(doubts) == (said is not None)
-    assert said is None or f"times better if corrected: {said}" in doubts[0]
+    assert said is None or doubts[0].partition(CORRECTED)[2].startswith(said)
 
 
 def test_rows_without_elevation_are_refused(folder):
@@ -261,8 +262,7 @@ def test_a_posterior_that_did_not_converge_makes_a_table_where_that_is_allowed(t
     code, _, err = call(*arguments)
     assert code == 3
     (line,) = studies.list_errors(err)
-    assert "did not converge" in line
-    assert line.endswith("--allow-unconverged uses it")
+    assert "--allow-unconverged" in line
     assert not (tmp_path / "out").exists()
     assert call(*arguments, "--allow-unconverged")[0] == 0
     lookup = pd.read_csv(tmp_path / "out" / "lookup.csv")

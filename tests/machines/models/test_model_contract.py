@@ -225,9 +225,8 @@ def test_models_take_any_number_of_legs_but_for_the_equilibrium(model):
     if model not in machines.SIX_LEGS_ONLY:
         assert machines.build_model(model, mechanism).name == model
         return
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^mechanism 'random 8': .*\b8 legs.* 6 .*\b{model} model$"):
         machines.build_model(model, mechanism)
-    assert str(caught.value) == f"mechanism 'random 8': found 8 legs, expected 6 for the {model} model"
 
 
 @pytest.mark.parametrize("model", machines.model_names())

@@ -201,8 +201,7 @@ def test_a_model_refuses_the_other_drive(model):
     """One line: the model, what was found and what would do."""
     struts = MODELS[model].drive == "strut"
     mechanism = machines.build_telescope() if struts else machines.build_hexapod()
-    with pytest.raises(InputError) as caught:
-        Machine(mechanism, machines.build_model(model, mechanism), machines.build_deformation("none"))
-    expected = "one of beam, jacobian, six_pus, stiffness, stiffness_fixed" if struts else "six_ups"
+    expected = "beam, jacobian, six_pus, stiffness, stiffness_fixed" if struts else "six_ups"
     found = "actuators at the base" if struts else "struts"
-    assert str(caught.value) == f"model {model!r}: found {found} in mechanism 'telescope', expected {expected}"
+    with pytest.raises(InputError, match=rf"^model '{model}': found {found} .*'telescope', .*\b{expected}$"):
+        Machine(mechanism, machines.build_model(model, mechanism), machines.build_deformation("none"))

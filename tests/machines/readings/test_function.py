@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from function_machines import point_on_lines
+from refusals import line_of
 from sliding_platforms import sliding_star, star_of
 
 from bayescal.errors import InputError
@@ -219,10 +219,9 @@ REFUSED = {
 
 @pytest.mark.parametrize(("machine", "begin", "text"), REFUSED.values(), ids=REFUSED)
 def test_a_wrong_class_is_refused_in_one_line(machine, begin, text):
-    with pytest.raises(InputError, match=re.escape(text)) as caught:
-        FunctionModel("arm", machine)
-    assert str(caught.value).startswith(f"machine 'arm': {begin}")
-    assert "\n" not in str(caught.value)
+    line = line_of(FunctionModel, "arm", machine)
+    assert text in line
+    assert line.startswith(f"machine 'arm': {begin}")
 
 
 def test_a_member_that_was_never_set_is_refused():
@@ -230,7 +229,7 @@ def test_a_member_that_was_never_set_is_refused():
         def read(self, parameters, v, given):
             return v
 
-    with pytest.raises(InputError, match="class Bare: found no parameters, expected a sequence of ParameterBlock"):
+    with pytest.raises(InputError, match=r"Bare: .*parameters.* ParameterBlock"):
         FunctionModel("bare", Bare(SimpleNamespace()))
 
 

@@ -58,5 +58,5 @@ def test_guide_angles_in_radians_are_found_out(tmp_path):
         text = text.replace(f"guide_angle_deg = {degrees}.0", f"guide_angle_deg = {radians}")
     path.write_text(text)
     config = PosesConfig(n_poses=50, position_mm=200.0, angle_deg=30.0)
-    with pytest.raises(InputError, match=r"machine 'sliding_star': pose \d+: legs \d and \d cross"):
+    with pytest.raises(InputError, match=r"'sliding_star': pose \d+: legs \d .*\d cross"):
         draw_poses(read_reading_model(path), config, np.random.default_rng(1))

@@ -66,7 +66,7 @@ def test_readings_of_no_pose_are_named_or_flagged():
     model, sensors, pose = setting()
     measured = sensors.read(model.layout.nominal, pose)
     measured[4, :2] += 5000.0
-    with pytest.raises(NumericalError, match="pose 5: no pose found"):
+    with pytest.raises(NumericalError, match="pose 5: "):
         find_poses(sensors, model.layout.nominal, measured, pose)
     found = find_poses(sensors, model.layout.nominal, measured, pose, check=False)
     assert found.converged.tolist() == [k != 4 for k in range(len(pose))]
@@ -112,7 +112,7 @@ def test_a_singular_jacobian_has_no_solution(rng):
 def test_too_few_equations_are_counted():
     _, sensors, _ = setting(("s",))
     sensors.check(18, 18)
-    with pytest.raises(InputError, match=r"found 17 equations \(17 poses with 4 readings, less 3 unknowns"):
+    with pytest.raises(InputError, match=r"17 equations .*17 poses .*4 readings.*3 unknowns"):
         sensors.check(17, 18)
     three = sensors.select(np.arange(3))
     with pytest.raises(InputError, match="found 0 equations"):

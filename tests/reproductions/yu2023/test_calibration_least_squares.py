@@ -162,7 +162,7 @@ def test_own_actuators_of_each_machine():
 def test_too_few_poses_are_named():
     poses = commanded(6)
     _, measured = simulated(1, poses)
-    with pytest.raises(InputError, match="poses: found 6, expected at least 7 for 42 parameters"):
+    with pytest.raises(InputError, match=r"poses: found 6,.* 7 .*42 parameters"):
         calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS["unweighted"])
     assert calibrate(MACHINE, poses.actuators, measured, WEIGHTINGS["bayesian"]).converged.all()
 

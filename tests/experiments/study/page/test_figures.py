@@ -185,8 +185,8 @@ def test_tick_labels_and_numbers_do_not_cover_each_other(drawn, name):
 def test_poses_beyond_their_bounds_are_counted(drawn, twelve):
     texts = [text.get_text() for text in drawn("bounds").axes[0].texts]
     names = twelve.ranking
-    assert texts[names.index("beam/linear")] == "4 of 6 beyond,\nbound 6.5 µm"
-    assert texts[names.index("beam/none")] == "1 of 6 beyond,\nbound 6.5 µm"
+    for name, n_beyond in (("beam/linear", "4"), ("beam/none", "1")):
+        assert re.findall(r"[\d.]+", texts[names.index(name)]) == [n_beyond, "6", "6.5"]
 
 
 # --- parameters and joints -------------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ def test_the_longest_flexure_is_shown_with_both_errors(twelve):
     assert circle.get_xdata()[-1] == pytest.approx(0.508, rel=1e-3)
     low, high = left.get_xlim()
     assert (pivot.get_xdata()[-1] - beam.get_xdata()[-1]) / (high - low) > 0.25  # told apart on the page
-    assert [text.get_text() for text in right.texts] == ["ideal pivot: 254 nm", "circle: 0.00051 nm"]
+    assert [text.get_text().partition(": ")[2] for text in right.texts] == ["254 nm", "0.00051 nm"]
     assert right.get_yscale() == "log"
 
 

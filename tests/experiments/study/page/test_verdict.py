@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,12 +118,11 @@ def test_of_a_single_width_no_stability_is_claimed(make_results):
 
 
 def test_the_headline_names_the_variant_to_use(make_results):
-    page = read_page(make_results(name="two"))
-    assert "pus with the linear deformation" in page.headline
-    assert not page.failures
-    assert "6-PUS with the matrix deformation" in state_headline(read_study(make_results(variants=TWELVE)))
+    two, all_alike = make_results(name="two"), make_results(variants=TWELVE)
     simple = make_results(set_fit("stiffness/matrix", n_parameters=12), variants=TWELVE, name="simple")
-    assert "stiffness with the matrix deformation" in state_headline(read_study(simple))
+    for folder, name in ((two, "pus with .*linear"), (all_alike, "6-PUS .*matrix"), (simple, "stiffness .*matrix")):
+        assert re.search(rf"\b{name} deformation", state_headline(read_study(folder)))
+    assert not read_page(two).failures
 
 
 def test_nothing_is_advised_where_what_may_be_best_did_not_converge(make_results):
@@ -212,7 +212,7 @@ def test_a_tie_ends_where_the_evidence_distinguishes(make_results, change, leade
 def test_names_of_variants(make_results):
     study = read_study(make_results(variants=TWELVE, draws=False))
     assert study.label("six_pus/matrix") == "6-PUS/matrix"
-    assert study.name_variants(["six_pus/none", "beam/none"]) == "6-PUS and beam without deformation"
+    assert study.name_variants(["six_pus/none", "beam/none"]).startswith("6-PUS and beam ")
     assert study.name_variants(["six_pus/none", "beam/matrix"], "or") == "6-PUS/none or beam/matrix"
 
 
@@ -239,7 +239,7 @@ def test_the_ranking_shows_differences_with_their_errors_and_names_of_the_files(
 def test_without_verification_poses_the_ranking_has_no_column_of_them(make_results):
     page = read_page(make_results(verification=False))
     ranking = next(one for section in page.sections for one in section.blocks if isinstance(one, Table))
-    assert ("Position error, mean / max", "verification") not in {(c.group, c.title) for c in ranking.columns}
+    assert "verification" not in {column.title for column in ranking.columns}
 
 
 def test_a_difference_has_the_standard_error_of_its_poses(make_results):
