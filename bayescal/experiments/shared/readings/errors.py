@@ -90,7 +90,8 @@ def _is_elsewhere(names: list[str], everywhere: list[set[str]], chosen: np.ndarr
 def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace) -> tuple[Array, Array]:
     """Return what the nominal machine reads in the middle of the workspace, and how far readings go from it, (K,).
 
-    A channel that no coordinate moves goes as far as what is given of the rows takes it, as the pulse does a servo.
+    A channel that no coordinate moves goes as far as what is given of the rows takes it, as the pulse does a servo. Of
+    a workspace around poses that no machine reaches, as wrong readings make one, both are those of the data.
     """
     q = len(workspace.low)
     if 3**q <= LARGEST_GRID:
@@ -102,12 +103,18 @@ def measure_ranges(model: ReadingModel, data: Measurements, workspace: Workspace
     with np.errstate(all="ignore"):
         read = model.read(model.layout.nominal, pose, given)
         by_given = model.read(model.layout.nominal, np.repeat(pose[:1], data.n_poses, axis=0), data.given)
-    reach, given_reach = (_find_farthest(one - read[0]) for one in (read, by_given))
-    return read[0], np.where(reach > 0.0, reach, given_reach)
+    middle = np.where(np.isfinite(read[0]), read[0], _find_median(data.values))
+    reach = _find_farthest(np.concatenate([read, np.where(np.isfinite(read[0]), np.nan, data.values)]) - middle)
+    return middle, np.where(reach > 0.0, reach, _find_farthest(by_given - middle))
 
 
 def _find_farthest(away: Array) -> Array:
     return np.asarray(np.where(np.isfinite(away), np.abs(away), 0.0).max(axis=0))
+
+
+def _find_median(values: Array) -> Array:
+    """Return medians over rows (P, K), zero of a channel without readings."""
+    return np.array([np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 0.0 for one in values.T])
 
 
 # --- the model error in its terms ----------------------------------------------------------------------------------

@@ -31,6 +31,8 @@ from bayescal.machines.readings import POSE, Legs, ReadingModel
 from bayescal.machines.readings.legs import divide_closure
 from bayescal.numerics.geometry import Array
 
+MOST_DEFLECTION = 1.0  # mm of a joint by a mm of an actuator: beyond it the actuators are in another unit
+
 
 @dataclass(frozen=True, eq=False)
 class Pads:
@@ -138,7 +140,13 @@ class SeenPads:
         """Return K from the targets, mm per mm; InputError where there are none."""
         if self.pads is None:
             raise InputError(f"{self.reference}: found no pad target, expected some for deformation.matrix = 'targets'")
-        return self.pads.matrix.matrix
+        found = self.pads.matrix.matrix
+        if (most := float(np.abs(found).max())) > MOST_DEFLECTION:
+            raise InputError(
+                f"{self.reference}: found pads that move {most:.3g} mm by 1 mm of an actuator, expected at most "
+                f"{MOST_DEFLECTION:g}: displacements of actuators from home in metres?"
+            )
+        return found
 
     @property
     def matrix(self) -> Callable[[], Array] | None:
