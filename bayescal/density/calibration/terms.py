@@ -16,7 +16,7 @@ keys of its ``Config``.
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -394,6 +394,24 @@ class ErrorModel:
         """Return the density of white residuals at coordinates (B, k)."""
         return self.outliers.at(zeta[:, len(self.names) - len(self.outliers.names) :])
 
+    # --- terms of a class --------------------------------------------------------------------------------------------
+
+    def terms_of[T: ErrorTerm](self, kind: type[T]) -> list[T]:
+        """Return the terms of a class."""
+        return [one for one in self.terms if isinstance(one, kind)]
+
+    def parts_of[T: ErrorTerm](self, kind: type[T], zeta: Array) -> list[tuple[T, Array]]:
+        """Return the same with their coordinates, as `of` does."""
+        return [(one, own) for one, own in self.of(zeta) if isinstance(one, kind)]
+
+    def change[T: ErrorTerm](self, kind: type[T], to: Callable[[T], ErrorTerm]) -> Self:
+        """Return the same with other terms in the places of those of a class."""
+        return replace(self, terms=tuple(to(one) if isinstance(one, kind) else one for one in self.terms))
+
+    def without(self, terms: Container[ErrorTerm]) -> Self:
+        """Return the same without some terms."""
+        return replace(self, terms=tuple(one for one in self.terms if one not in terms))
+
     # --- sizes over draws --------------------------------------------------------------------------------------------
 
     def limit(self, zeta: Array) -> Array:
@@ -433,7 +451,7 @@ class ErrorModel:
 
     def without_columns(self) -> ErrorModel:
         """Return the terms that concern single rows alone."""
-        return ErrorModel(tuple(term for term in self.terms if term not in self.common), self.outliers)
+        return self.without(self.common)
 
     def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
         """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
@@ -460,7 +478,7 @@ class ErrorModel:
     @cached_property
     def known(self) -> list[CorrelatedNoise]:
         """The terms with columns of which nothing is unknown but their coefficients."""
-        return [term for term in self.common if isinstance(term, CorrelatedNoise)]
+        return self.terms_of(CorrelatedNoise)
 
     @property
     def is_common_known(self) -> bool:

@@ -17,7 +17,7 @@ from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
-from bayescal.density.calibration.terms import ErrorModel
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.pose_kernels import DRIFT, rescale
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError
@@ -109,7 +109,7 @@ class DesignVariant:
     # by term: rms over the planned poses of systematic errors as they are allowed for, mm at the tool
     sizes: Mapping[str, float]
     floors: Mapping[str, float]  # what each of these is at least, as stated, mm
-    zeta: Mapping[str, float] = field(default_factory=dict)  # standardised coordinates of other errors by name
+    zeta: Mapping[str, float] = field(default_factory=dict)  # standardised coordinates of errors by name
 
     # --- the parameters --------------------------------------------------------------------------------------------
 
@@ -121,15 +121,14 @@ class DesignVariant:
     @cached_property
     def expected(self) -> Array:
         """The machine and its errors as expected, in the posterior's coordinates."""
-        found = [np.zeros(self.posterior.n_geometry)]
-        for term in self.variant.errors.terms:
-            if isinstance(term, GPTerm | RandomTerm):
-                size = self.sizes[term.sort] if isinstance(term, GPTerm) else self.tau
-                beyond = np.array([np.sqrt(max(0.0, size**2 - term.floor**2))])
-                found.append(np.maximum(term.priors[0].standardise(beyond), OFF_COORDINATE))
-            else:
-                found.append(np.array([self.zeta[name] for name in term.names]))
-        return np.concatenate(found)
+        errors, known = self.variant.errors, dict(self.zeta)
+        sizes = list[tuple[ErrorTerm, float, float]]()
+        sizes += [(one, one.floor, self.tau) for one in errors.terms_of(RandomTerm)]
+        sizes += [(one, one.floor, self.sizes[one.sort]) for one in errors.terms_of(GPTerm)]
+        for term, floor, size in sizes:
+            beyond = np.sqrt(np.maximum(0.0, size**2 - floor**2))
+            known[term.names[0]] = max(float(term.priors[0].standardise(beyond)), OFF_COORDINATE)
+        return np.concatenate([np.zeros(self.posterior.n_geometry), [known[name] for name in errors.names]])
 
     @cached_property
     def parameters(self) -> FreeParameters:
@@ -251,12 +250,9 @@ class DesignVariant:
 
     def resize(self, sizes: Mapping[str, float]) -> DesignVariant:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""
-        terms = tuple(
-            replace(term, floor=0.0) if isinstance(term, GPTerm) else term
-            for term in self.variant.errors.terms
-            if not isinstance(term, GPTerm) or sizes.get(term.sort, 0.0) > 0.0
-        )
-        variant = replace(self.variant, errors=ErrorModel(terms))
+        errors = self.variant.errors.with_floors({})
+        absent = [one for one in errors.terms_of(GPTerm) if sizes.get(one.sort, 0.0) <= 0.0]
+        variant = replace(self.variant, errors=errors.without(absent))
         return replace(self, variant=variant, sizes={one.sort: sizes[one.sort] for one in list_functions(variant)})
 
     def without_systematic_errors(self) -> DesignVariant:
@@ -453,7 +449,7 @@ class DesignVariant:
 
 def list_functions(variant: Variant) -> list[LowRankGPTerm]:
     """Return the terms of a variant that are functions of the pose."""
-    return [one for one in variant.errors.terms if isinstance(one, LowRankGPTerm)]
+    return variant.errors.terms_of(LowRankGPTerm)
 
 
 def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import CorrelatedNoise
 from bayescal.errors import InputError
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -65,13 +64,12 @@ class MeasuredReadings:
         What K from targets lacks is another error in another measurement, or at poses that nobody measured.
         """
         errors, likelihood = self.posterior.errors, self.posterior.likelihood
-        known, data = [one for one in errors.terms if isinstance(one, CorrelatedNoise)], likelihood.data
+        known, data = errors.known, likelihood.data
         if not known:
             return self
         square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
         noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
-        others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, CorrelatedNoise)))
-        return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=others))
+        return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=errors.without(known)))
 
     def pick(self, rows: np.ndarray) -> MeasuredReadings:
         """Return the variant after some of its poses."""

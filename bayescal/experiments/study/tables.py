@@ -302,7 +302,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
     """
     rows = []
     for name, fit in fits.items():
-        terms = [one for one in inputs.variants[name].errors.terms if isinstance(one, RandomTerm)]
+        terms = inputs.variants[name].errors.terms_of(RandomTerm)
         if not terms:
             continue
         places = [fit.names.index(one.names[0]) for one in terms]
