@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import subspace_angles
 
-from bayescal.density.priors import UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import AuditOutcome
 from bayescal.experiments.audit.measured import SEED, Draws, MeasuredMachine
@@ -255,13 +254,7 @@ def plot_ridges(
 def _draw_samples(inputs: DesignVariant, covariance: Array, level: PosteriorLevel | str) -> dict[str, Array]:
     """Return parameters in natural units, (S, n), by source: of the prior, and of the posterior or its forecast."""
     rng, priors = np.random.default_rng([inputs.config.seed, SEED_OF_PLOTS]), inputs.maker.list_priors(inputs.section)
-    columns = [
-        rng.uniform(prior.lower, prior.upper, MAX_DRAWS)
-        if isinstance(prior := priors[name], UniformPrior)
-        else rng.normal(prior.mean, prior.sd, MAX_DRAWS)
-        for name in inputs.names
-    ]
-    before = np.stack(columns, axis=1)
+    before = np.stack([priors[name].draw(MAX_DRAWS, rng) for name in inputs.names], axis=1)
     if not isinstance(level, str):
         return {"prior": before, "posterior": level.draws.thin(MAX_DRAWS)}
     spread = rng.standard_normal(before.shape) @ root_of(covariance)

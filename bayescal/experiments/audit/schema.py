@@ -25,7 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.priors import INDEPENDENT
-from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
+from bayescal.density.schema import ALONE, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,
@@ -384,7 +384,7 @@ class AuditConfig(ExperimentConfig):
             for field in ("machine", "sensors", "parameters"):
                 if not getattr(self, field):
                     raise ValueError(f"found no {field}, expected it, or [data]")
-            if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
+            if all(prior.prior == "fixed" for prior in self.parameters.values()):
                 raise ValueError("found no tolerance, expected a normal or uniform prior")
             deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
             if deforms and all(one.model is None for one in self.variants):

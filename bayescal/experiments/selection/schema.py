@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator,
 from bayescal.config.classes import ClassMark, OwnSection, label_class
 from bayescal.config.load import OWN
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section, check_once
-from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.readings.schema import ProvenanceConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -256,7 +256,7 @@ class SelectionConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_whole(self) -> Self:
-        if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
+        if all(prior.prior == "fixed" for prior in self.parameters.values()):
             raise ValueError("found no tolerance, expected [parameters] with a normal or uniform prior")
         if self.workspace is None:
             for what, needed in (
