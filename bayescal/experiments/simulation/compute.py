@@ -37,7 +37,7 @@ from bayescal.data.truth import (
     read_true_parameters,
     round_as_written,
 )
-from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
@@ -154,11 +154,7 @@ class ReadingPlan:
         for name, value in self.fixed.items():
             theta[layout.names.index(name)] = value
         for name, prior in self.priors.items():
-            if isinstance(prior, UniformPrior):
-                drawn = float(rng.uniform(prior.lower, prior.upper))
-            else:
-                assert isinstance(prior, NormalPrior)
-                drawn = float(rng.normal(prior.centre, prior.scale))
+            drawn = float(prior.draw(1, rng)[0])
             places = [layout.names.index(one) for one in self.common.get(name, (name,))]
             theta[places] += drawn - theta[places[0]]
         layout.check(theta)
@@ -397,7 +393,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
 def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
     """Return the true frames of each station and of the probe, shape (S + 1, 6), mm and rad."""
     n_stations = 1
-    if isinstance(config, PointInstrumentConfig) and config.stations is not None:
+    if config.kind == "points" and config.stations is not None:
         n_stations = len(read_stations(folder / config.stations).names)
     bases = config.frames.base or [FrameTruthConfig()] * n_stations
     if len(bases) != n_stations:
@@ -417,8 +413,7 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     assert config.noise.target_um is not None
     commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
     base, platform = make_targets(twin.config, mechanism)
-    deformation = twin.machine.deformation  # which the pads follow; offsets of κ are not in it
-    ring = deformation.matrix if isinstance(deformation, MatrixDeformation) else np.zeros((mechanism.n_legs,) * 2)
+    ring = twin.machine.deformation.coupling(mechanism.n_legs)  # which the pads follow; offsets of κ are not in it
     deflection = (actual - mechanism.initial_actuator_positions) @ ring.T
     moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
     pads = platform.leg > 0
