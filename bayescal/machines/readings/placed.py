@@ -383,6 +383,7 @@ class InstrumentedMachine(ReadingModel):
 
     legs = hand_on("whole.legs")
     # no instrument moves the tool, is commanded or has coordinates
+    bare = hand_on("whole")
     coordinates = hand_on("whole.coordinates")
     given = hand_on("whole.given")
     commanded = hand_on("whole.commanded")

@@ -36,7 +36,6 @@ from bayescal.data.instruments.readings import (
     TrackedPoints,
     TrackedReadings,
     check_places,
-    check_units,
     turn_of,
 )
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
@@ -57,7 +56,7 @@ from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import Channel, Instrument, InstrumentedMachine, ReadingModel, Tracker
+from bayescal.machines.readings import Channel, Instrument, ReadingModel, Tracker
 from bayescal.machines.readings.base import POSE_CHANNELS
 from bayescal.machines.readings.placed import locate_tool, rename_channel
 from bayescal.machines.readings.tracker import frame_symbols, name_frames
@@ -127,19 +126,19 @@ class Measured:
 
     def check(self, model: ReadingModel) -> None:
         """Raise InputError where the readings cannot be in the units that their table names."""
-        whole = model.whole if isinstance(model, InstrumentedMachine) else model
+        whole = model.bare
         if self.tracked is None or not self.commands or whole.given:
             return
         expected, path = locate_tool(whole, self.tracked.actuators), self.folder / self.data.file
-        check_units(expected, self.tracked, path)
-        if isinstance(self.data, PointDataConfig) and isinstance(self.tracked, TrackedPoints):
+        self.tracked.check_units(expected, path)
+        if self.data.kind == "points" and isinstance(self.tracked, TrackedPoints):
             stations = None if self.data.stations is None else self.folder / self.data.stations
             check_places(expected, self.tracked, read_stations(stations).position, path)
 
 
 def name_instrument(data: InstrumentTable) -> str:
     """Return what begins the names of a table's channels and frames."""
-    return "" if isinstance(data, TargetDataConfig) else data.name
+    return "" if data.kind == "targets" else data.name
 
 
 def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
@@ -220,7 +219,7 @@ class InstrumentReader:
 
     def read(self, data: InstrumentTable) -> Measured:
         """Return what a table measured; InputError for anything at fault in it or in those beside it."""
-        found = self._read_targets(data) if isinstance(data, TargetDataConfig) else self._read_tracked(data)
+        found = self._read_targets(data) if data.kind == "targets" else self._read_tracked(data)
         if found.commands:
             poses = found.poses
             with name_faults(self.folder / (data.actuators or data.file)):
@@ -231,7 +230,7 @@ class InstrumentReader:
     # --- what is read --------------------------------------------------------------------------------------------
 
     def _read_tracked(self, data: PoseDataConfig | PointDataConfig) -> Measured:
-        tracked, taken = self._read_poses(data) if isinstance(data, PoseDataConfig) else self._read_points(data)
+        tracked, taken = self._read_poses(data) if data.kind == "poses" else self._read_points(data)
         with name_faults(self.folder / data.file):
             check_repeated(tracked.names, tracked.values, taken.verification)
         free = [name for name in ("base", "tool") if getattr(data.frames, name) is not None]
@@ -239,7 +238,7 @@ class InstrumentReader:
         if not free and self.machine.reads_pose:
             if tracked.is_whole():
                 return self._join(data, taken, tracked.poses, [_pose_block(tracked.poses)], described, tracked=tracked)
-            if isinstance(data, PoseDataConfig):  # in part, in the base frame
+            if data.kind == "poses":  # in part, in the base frame
                 blocks = [(one.values, one.covariance) for one in tracked.see()]
                 return self._join(data, taken, tracked.poses, blocks, described, tracked=tracked)
         seen, n = tracked.see(), 6
