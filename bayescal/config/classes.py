@@ -100,13 +100,13 @@ def _split(value: object) -> tuple[str, Mapping[str, Any]]:
 
 
 def _write(value: str) -> str | dict[str, Any]:
-    options = value.options if isinstance(value, ClassName) else {}
-    return {CLASS: str(value), **options} if options else str(value)
+    name, options = _split(value)
+    return {CLASS: name, **options} if options else name
 
 
 def label_class(name: str) -> str:
     """Return what tables and files call a class that a config names."""
-    return name.label if isinstance(name, ClassName) else ClassName(name).label
+    return ClassName(name, found=getattr(name, "found", None)).label
 
 
 class OwnSection(Section):
@@ -181,9 +181,10 @@ def choose[T](
     ``field`` says where the name stands, for the message, whose file the caller adds; names of files start at
     ``folder``. ``options`` are those that stand beside the name, and not with it.
     """
-    known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
-    found = name.found if known else find_class(what, name, base, field, None, folder)  # type: ignore[attr-defined]
-    given = dict(name.options) if options is None and isinstance(name, ClassName) else dict(options or {})
+    found = getattr(name, "found", None)
+    if found is None or not issubclass(found, base):
+        found = find_class(what, name, base, field, None, folder)
+    given = dict(_split(name)[1] if options is None else options)
     return ClassReference(found, check_section(_schema_of(found), given, Path(field), "", folder))
 
 
