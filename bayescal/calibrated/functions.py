@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -215,7 +215,7 @@ class KnownFunctions:
         }
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
+    def of_arrays(cls, arrays: Mapping[str, object], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
         """Return them from their arrays; columns of smooth functions may be others of the same span elsewhere."""
         numbers = [one.name for one in fields(cls) if one.name not in ("names", "sorts")]
         own = {key: np.asarray(arrays[key], dtype=np.float64) for key in numbers}

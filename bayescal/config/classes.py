@@ -220,7 +220,7 @@ def find_classes(section: Section, folder: Path) -> list[type]:
     return [one.found or load_class(one.registry, one, folder) for one in names]
 
 
-def _walk(value: Any, mark: FileMark | None = None) -> Iterator[tuple[Any, FileMark | None]]:
+def _walk(value: object, mark: FileMark | None = None) -> Iterator[tuple[object, FileMark | None]]:
     """Yield everything in a section that holds nothing else, with the mark of a field that may name a file."""
     if isinstance(value, Section):
         for name, own in _mark_fields(type(value)).items():
@@ -242,7 +242,7 @@ def _mark_fields(section: type[Section]) -> dict[str, FileMark | None]:
     return found
 
 
-def _list_metadata(annotation: Any) -> Iterator[Any]:
+def _list_metadata(annotation: object) -> Iterator[object]:
     """Yield what annotations say beside types, inside unions too."""
     if get_origin(annotation) is Annotated:
         yield from get_args(annotation)[1:]

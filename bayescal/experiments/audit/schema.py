@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -47,7 +47,7 @@ type Count = Annotated[int, Field(ge=1, le=10_000)]
 # --- what measures, and where --------------------------------------------------------------------------------------
 
 
-def _tag_sensor(section: Any) -> str:
+def _tag_sensor(section: object) -> str:
     if isinstance(section, ChannelConfig) or (isinstance(section, dict) and "kind" not in section):
         return f"{MEASURED}channel"
     kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
@@ -87,7 +87,7 @@ class PlannedPosesConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_file(cls, value: Any) -> Any:
+    def _take_file(cls, value: object) -> object:
         return (
             {"sampling": "file", **value}
             if isinstance(value, dict) and {"file", "configurations"} & set(value)
@@ -335,7 +335,7 @@ class AuditConfig(ExperimentConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_others(cls, content: Any) -> Any:
+    def _take_others(cls, content: object) -> object:
         """Sizes are those that a study found."""
         if not isinstance(content, dict) or content.get("data") is None:
             return content
@@ -346,7 +346,7 @@ class AuditConfig(ExperimentConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_actuators(cls, content: Any) -> Any:
+    def _take_actuators(cls, content: object) -> object:
         """Noise of actuators, as studies of a mechanism state it, is that of its sensors, which all variants have."""
         if not isinstance(content, dict) or not isinstance(noise := content.get("noise"), dict):
             return content
@@ -413,7 +413,7 @@ class AuditConfig(ExperimentConfig):
                 raise ValueError(f"scenario {change.name!r}: sensors: found with [data], expected none")
 
 
-def _add_actuators(section: Any) -> Any:
+def _add_actuators(section: object) -> object:
     """Return a variant or a change whose sensors, where it states any, have the actuators among them."""
     if not isinstance(section, dict) or not isinstance(sensors := section.get("sensors"), list):
         return section

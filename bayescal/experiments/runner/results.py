@@ -30,7 +30,7 @@ TABLES, EMPTY_TABLES = "tables", "empty_tables"
 LENGTHS = "table_rows"
 """Key of the provenance for the number of rows of every table."""
 TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
-KINDS: dict[str, Callable[[str], Any]] = {
+KINDS: dict[str, Callable[[str], object]] = {
     "number": lambda cell: float(cell) if cell else float("nan"),
     "integer": int,
     "flag": {"True": True, "False": False}.__getitem__,
@@ -122,7 +122,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _make_json(value: Any) -> Any:
+def _make_json(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _make_json(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -274,12 +274,12 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
         return _compute(admitted, Run(Processes(workers)))
 
 
-def _list_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
+def _list_doubts(experiment: AnyExperiment, inputs: object) -> list[str]:
     """Return what is, and what may be, wrong with inputs that passed the gate."""
     return [*_ask(experiment.suspect, inputs), *_ask(partial(experiment.list_warnings, before_run=True), inputs)]
 
 
-def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:
+def _ask(question: Callable[[object], list[str]], inputs: object) -> list[str]:
     """Return what is said of inputs that passed the gate; a question that fails on them says nothing."""
     try:
         with np.errstate(all="ignore"):

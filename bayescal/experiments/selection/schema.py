@@ -6,7 +6,7 @@ Tolerances and requirements are in the units of [units]; all other keys carry th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
@@ -179,7 +179,7 @@ class OwnChoiceConfig(ChoiceConfig, OwnSection):
 BUILT_IN = ("random", "detmax", "tabu", "exchange", "continuous")
 
 
-def _tag_choice(section: Any) -> str:
+def _tag_choice(section: object) -> str:
     method = section.get("method") if isinstance(section, dict) else getattr(section, "method", None)
     return method if method in BUILT_IN else OWN
 

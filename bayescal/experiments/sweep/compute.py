@@ -33,7 +33,7 @@ MIXED: Final = "in places"
 def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     """Return the table of all members and what it answers; members that fail are in it, with the reason."""
     config = inputs.config
-    taken, addresses, tasks, rows = [], list[str](), dict[str, tuple[Setting, ...]](), dict[str, list[Any]]()
+    taken, addresses, tasks, rows = [], list[str](), dict[str, tuple[Setting, ...]](), dict[str, list[object]]()
     for values, settings in inputs.list_members():
         try:
             address = inputs.find_address(settings)
@@ -71,14 +71,14 @@ def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
         raise InputError(f"figures: found none of {', '.join(keys)} in the first summary{said}")
 
 
-def _read_row(config: SweepConfig, outcome: Outcome) -> list[Any]:
+def _read_row(config: SweepConfig, outcome: Outcome) -> list[object]:
     """Return a member's figures, its state and why; of thousands whole summaries, even packed, would take gigabytes."""
     summary = outcome.read()
     state = FAILED if not outcome.has_summary else UNSURE if outcome.failure else DONE
     return [*(_show(look_up(summary, figure.key)) for figure in config.figures), state, outcome.failure]
 
 
-def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list[Any]]) -> pd.DataFrame:
+def _tabulate(config: SweepConfig, taken: list[tuple[object, ...]], rows: list[list[object]]) -> pd.DataFrame:
     """Return a row per member: what its axes take, its figures, and what became of it."""
     names = [*(figure.key for figure in config.figures), "state", "reason"]
     columns: dict[str, list[Any]] = {
@@ -95,7 +95,7 @@ def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list
     return SweepMemberRow.tabulate(found, state=state, reason=reason)
 
 
-def _show(value: Any) -> Any:
+def _show(value: object) -> object:
     """Return a number or a text as it is, a truth value as a number, anything else as JSON."""
     if isinstance(value, bool):
         return int(value)
@@ -175,7 +175,7 @@ def group_others(config: SweepConfig, members: pd.DataFrame, axis: AxisConfig) -
         yield ", ".join(said), rows
 
 
-def _show_setting(value: Any, axis: AxisConfig) -> str:
+def _show_setting(value: object, axis: AxisConfig) -> str:
     text = format_plain(value, 4) if isinstance(value, float) else str(value)
     return f"{text} {axis.unit if axis.factors is None else 'times'}".rstrip()
 

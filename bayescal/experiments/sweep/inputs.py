@@ -33,7 +33,7 @@ from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
 
-type Setting = tuple[str, str, Any]
+type Setting = tuple[str, str, object]
 """File, empty for the experiment itself, dotted key, and value."""
 
 type Files = dict[str, bytes]
@@ -173,7 +173,7 @@ def find(content: Mapping[str, Any], key: str) -> Any:
     return place
 
 
-def look_up(summary: Any, key: str) -> Any:
+def look_up(summary: object, key: str) -> object:
     """Return what a summary holds at a dotted key, whose parts may have dots of their own; None for nothing."""
     if not key:
         return summary
@@ -190,7 +190,7 @@ def look_up(summary: Any, key: str) -> Any:
     return None
 
 
-def list_keys(summary: Any, before: str = "") -> Iterator[str]:
+def list_keys(summary: object, before: str = "") -> Iterator[str]:
     """Yield the dotted keys of all numbers of a summary."""
     inner = summary.items() if isinstance(summary, dict) else enumerate(summary) if isinstance(summary, list) else ()
     for key, value in inner:
@@ -212,7 +212,7 @@ class SweepInputs:
     extended: dict[str, tuple[str, ...]]  # each input file with those that it extends
     need: MemoryEstimate  # memory that a member takes, as the experiment stands
 
-    def list_members(self) -> Iterator[tuple[tuple[Any, ...], tuple[Setting, ...]]]:
+    def list_members(self) -> Iterator[tuple[tuple[object, ...], tuple[Setting, ...]]]:
         """Yield what each axis takes and what that sets, member by member; the last axis is the fastest."""
         axes = [list(zip(axis.settings, _list_settings(axis, self.base), strict=True)) for axis in self.config.axes]
         rows = itertools.product(*axes) if self.config.mode == "grid" else zip(*axes, strict=True)
@@ -292,7 +292,7 @@ def _list_settings(axis: AxisConfig, base: BaseExperiment) -> list[tuple[Setting
     return [tuple((file, key, _multiply(key, value, one)) for file, key, value in now) for one in axis.factors]
 
 
-def _multiply(key: str, value: Any, factor: float) -> Any:
+def _multiply(key: str, value: object, factor: float) -> object:
     if isinstance(value, list):
         return [_multiply(key, one, factor) for one in value]
     if isinstance(value, bool) or not isinstance(value, int | float):

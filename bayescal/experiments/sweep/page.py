@@ -221,7 +221,7 @@ def _head(caption: str, rows: pd.DataFrame) -> str:
     return f"{caption}." if len(rows) <= MOST_ROWS else f"{caption}; the first {MOST_ROWS}, all in members.csv."
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     return _number(value, 4) if isinstance(value, float) else str(value) or NO_VALUE
 
 
