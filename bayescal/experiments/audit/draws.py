@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -32,6 +31,7 @@ from bayescal.experiments.audit.audit import AuditOutcome
 from bayescal.experiments.audit.measured import SEED, Draws, MeasuredMachine
 from bayescal.experiments.audit.planned import DesignVariant
 from bayescal.experiments.audit.rows import RidgeCurveRow, RidgeDrawRow
+from bayescal.experiments.runner.results import Summary
 from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.profile import Profile
 from bayescal.identifiability.reading_rows import typical_given
@@ -78,7 +78,7 @@ class PosteriorLevel:
         """Return the contraction of the draws along a unit direction (n,) in units of the tolerances."""
         return 1.0 - float(vector @ self.covariance @ vector)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Return what ``summary.json`` says of this level, in the design's units."""
         inputs, draws = self.inputs, self.draws
         values, factors = draws.values, np.array([inputs.units.factor(unit) for unit in inputs.parameters.units])

@@ -43,6 +43,9 @@ type Writer = Callable[[Path], None]
 
 NUMBER = (int, float)
 
+type Summary = dict[str, Any]
+"""A summary, or a part of one: as JSON has it, keys by kind of experiment."""
+
 
 @dataclass(frozen=True, eq=False)
 class Results:
@@ -52,7 +55,7 @@ class Results:
     in the results directory, or what writes one to the path it is given.
     """
 
-    summary: dict[str, Any]
+    summary: Summary
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     files: Mapping[str, str | Writer] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)

@@ -34,6 +34,7 @@ from bayescal.experiments.runner.results import (
     PROVENANCE_FILE,
     SUMMARY_FILE,
     Results,
+    Summary,
     check_results,
     list_written,
     read_results,
@@ -71,7 +72,7 @@ class RunOutcome:
     page: Page
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """What ``summary.json`` holds."""
         return self.results.summary
 

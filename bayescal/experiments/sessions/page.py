@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import figure as mpl
 
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.sessions.rows import (
     ROWS,
     ChannelMotionRow,
@@ -186,7 +185,7 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def _name_shift(summary: dict[str, Any], unit: str) -> str:
+def _name_shift(summary: Summary, unit: str) -> str:
     """Return the motion from which on one counts, in a unit."""
     limit = summary["motion_limit_um"] if unit == "µm" else summary.get("motion_limit_arcsec", 0.0)
     return f"{format_plain(limit)} {unit}"

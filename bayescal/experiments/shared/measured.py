@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.errors import InputError
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.numerics.geometry import Array
@@ -39,7 +40,7 @@ class MeasuredReadings:
     high: Array
     internal: np.ndarray  # (K,): which channels the machine keeps after its calibration
     n_held_back: int = 0  # how many poses were measured besides, kept for verification
-    described: Mapping[str, Any] = field(default_factory=dict)  # what was measured, in the study's own words
+    described: Summary = field(default_factory=dict)  # what was measured, in the study's own words
     aligned: bool = False  # whether its accuracy is what remains after base and tool are aligned
     denied: tuple[str, ...] = ()  # kinds of slips that its data are not, as the study's config says
 

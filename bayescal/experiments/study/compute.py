@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import pandas as pd
 
 from bayescal.experiments.runner.losses import attempt
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.estimate import TREE
 from bayescal.experiments.shared.posterior_files import write_packed
 from bayescal.experiments.shared.slips import MisstatedInput
@@ -69,6 +68,6 @@ def _find_misstated(task: tuple[StudyInputs, str]) -> MisstatedInput | None:
     return inputs.find_misstated([name])
 
 
-def _judge(task: tuple[StudyInputs, Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
+def _judge(task: tuple[StudyInputs, Summary]) -> dict[str, pd.DataFrame]:
     inputs, summary = task
     return {} if inputs.claims is None else inputs.claims.tabulate(inputs, summary)

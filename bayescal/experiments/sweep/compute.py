@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from difflib import get_close_matches
 from typing import Any, Final
@@ -14,7 +14,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.runner.parallel import Failed, Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.runner.store import open_pool
 from bayescal.experiments.sweep.inputs import Outcome, Setting, SweepInputs, compute_member, list_keys, look_up
 from bayescal.experiments.sweep.rows import Extent, SweepAnswerRow, SweepMemberRow
@@ -62,7 +62,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     )
 
 
-def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
+def _check_figures(config: SweepConfig, summary: Summary) -> None:
     """Raise InputError where the summary of the first member that is done has none of the figures."""
     keys = [figure.key for figure in config.figures]
     if all(look_up(summary, key) is None for key in keys):
@@ -102,9 +102,7 @@ def _show(value: object) -> object:
     return value if value is None or isinstance(value, int | float | str) else json.dumps(value)
 
 
-def _summarise(
-    config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[SweepAnswerRow]
-) -> dict[str, Any]:
+def _summarise(config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[SweepAnswerRow]) -> Summary:
     figures = {}
     for figure in config.figures:
         column = members[figure.key]
@@ -126,7 +124,7 @@ def _summarise(
     }
 
 
-def list_missing(summary: Mapping[str, Any]) -> list[str]:
+def list_missing(summary: Summary) -> list[str]:
     """Return the figures that are in no member's summary; none where all members failed."""
     if summary["n_failed"] == summary["n_members"]:
         return []

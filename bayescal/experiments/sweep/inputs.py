@@ -29,6 +29,7 @@ from bayescal.experiments.runner.identity import hash_identity, identify
 from bayescal.experiments.runner.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.runner.memory import MemoryEstimate, check_memory
 from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
@@ -87,7 +88,7 @@ class Outcome:
     failure: str  # why it failed, or what forbids to rely on it
 
     @classmethod
-    def of(cls, failure: str, summary: Mapping[str, Any] | None = None) -> Outcome:
+    def of(cls, failure: str, summary: Summary | None = None) -> Outcome:
         """Return the outcome of a member, of one that failed without a summary."""
         text = "" if summary is None else json.dumps(summary, ensure_ascii=False, allow_nan=False)
         return cls(np.frombuffer(zlib.compress(text.encode()) if text else b"", dtype=np.uint8), failure)
@@ -97,9 +98,9 @@ class Outcome:
         """Whether it did not fail."""
         return self.packed.size > 0
 
-    def read(self) -> dict[str, Any]:
+    def read(self) -> Summary:
         """Return the summary; nothing where there is none."""
-        found: dict[str, Any] = json.loads(zlib.decompress(self.packed.tobytes())) if self.has_summary else {}
+        found: Summary = json.loads(zlib.decompress(self.packed.tobytes())) if self.has_summary else {}
         return found
 
 

@@ -43,6 +43,7 @@ from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, 
 from bayescal.data.photogrammetry.survey import Survey, check_target_columns, read_reference, read_survey
 from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.readings.data_schema import (
     PointDataConfig,
     PoseDataConfig,
@@ -87,7 +88,7 @@ class Measured:
     seen: tuple[Channel, ...]  # by their names on the machine with its instruments
     # poses of the tool as measured, all frames as they should be; NaN where a coordinate is not
     poses: MeasuredPoses
-    described: dict[str, Any]  # entries of the summary that say what was measured
+    described: Summary  # entries of the summary that say what was measured
     # an instrument whose frames have to be found, that sees points which tell no whole pose, or a pose of a machine
     # that has no such channels
     tracker: Tracker | None = None
@@ -325,7 +326,7 @@ class InstrumentReader:
         taken: PoseRecords,
         poses: MeasuredPoses,
         blocks: Sequence[tuple[Array, Array]],
-        described: dict[str, Any],
+        described: Summary,
         tracker: Tracker | None = None,
         **others: Any,
     ) -> Measured:
