@@ -348,17 +348,17 @@ def _write_page(
     def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
         spared = {name: partial(_draw, f"figure {name!r}", call) for name, call in calls.items()}
         drawn = call_side_by_side(workers if many else 1, spared)
-        not_drawn.extend(one for one in drawn.values() if isinstance(one, Loss))
-        return {k: Picture(b"", failure=f"{one.say()}.") if isinstance(one, Loss) else one for k, one in drawn.items()}
+        not_drawn.extend(loss for _, loss in drawn.values() if loss is not None)
+        return {name: picture for name, (picture, _) in drawn.items()}
 
     write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
     return page, [*lost, *not_drawn]
 
 
-def _draw(what: str, draw: Callable[[], Picture]) -> Picture | Loss:
+def _draw(what: str, draw: Callable[[], Picture]) -> tuple[Picture, Loss | None]:
     with note_losses() as losses:
         found = attempt(what, draw, None)
-    return losses[0] if found is None else found
+    return (Picture(b"", failure=f"{losses[0].say()}."), losses[0]) if found is None else (found, None)
 
 
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
