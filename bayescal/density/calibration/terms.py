@@ -449,10 +449,6 @@ class ErrorModel:
         """The terms with columns, errors common to all rows."""
         return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
 
-    def without_columns(self) -> ErrorModel:
-        """Return the terms that concern single rows alone."""
-        return self.without(self.common)
-
     def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
         """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
         acts = [_show(term, term.act(data), gain) for term in self.common]
@@ -490,11 +486,6 @@ class ErrorModel:
         """The terms that change the noise of single rows."""
         factor, variance = ErrorTerm.factor, ErrorTerm.variance
         return [one for one in self.terms if type(one).factor is not factor or type(one).variance is not variance]
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether something of the noise of single rows is unknown."""
-        return bool(self.noisy)
 
     def groups(self, n_channels: int) -> Array:
         """Return which of K channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""

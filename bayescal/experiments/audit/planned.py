@@ -236,7 +236,7 @@ class DesignVariant:
         likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
         white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
         columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
-        widths = [term.act(self.variant.data).shape[-1] for term in list_functions(self.variant)]
+        widths = [term.act(self.variant.data).shape[-1] for term in self.variant.errors.terms_of(LowRankGPTerm)]
         sorts = np.repeat(np.arange(len(widths)), widths)
         return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
@@ -245,15 +245,15 @@ class DesignVariant:
         if not true:
             return self.without_systematic_errors()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
-        scale = list_functions(self.variant)[0].scale  # of the prior of each size, as a study has it, mm
+        scale = self.variant.errors.terms_of(LowRankGPTerm)[0].scale  # of the prior of each size, as a study has it, mm
         return self.resize(expect_sizes(*rows, true, self.floors, scale))
 
     def resize(self, sizes: Mapping[str, float]) -> DesignVariant:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""
         errors = self.variant.errors.with_floors({})
-        absent = [one for one in errors.terms_of(GPTerm) if sizes.get(one.sort, 0.0) <= 0.0]
-        variant = replace(self.variant, errors=errors.without(absent))
-        return replace(self, variant=variant, sizes={one.sort: sizes[one.sort] for one in list_functions(variant)})
+        errors = errors.without([one for one in errors.terms_of(GPTerm) if sizes.get(one.sort, 0.0) <= 0.0])
+        kept = {one.sort: sizes[one.sort] for one in errors.terms_of(LowRankGPTerm)}
+        return replace(self, variant=replace(self.variant, errors=errors), sizes=kept)
 
     def without_systematic_errors(self) -> DesignVariant:
         """Return the same without systematic errors."""
@@ -274,7 +274,7 @@ class DesignVariant:
         names, sd = tuple(map(str, range(n))), np.ones(read.shape)
         later, columns = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n)), list[Array]()
         left = np.zeros_like(variance)
-        for term in list_functions(self.variant):
+        for term in self.variant.errors.terms_of(LowRankGPTerm):
             own, size = term.own, self.sizes[term.sort]
             place, lasts, rest = own.place_of(later), term.sort != DRIFT, np.ones(n)
             columns.append(size * term.act(later) * lasts)
@@ -293,7 +293,7 @@ class DesignVariant:
         """Return the same machine at other poses; InputError for one at which it cannot stand."""
         section = section or self.section
         variant = self.maker.build(section, poses)
-        before, after = list_functions(self.variant), list_functions(variant)
+        before, after = (one.errors.terms_of(LowRankGPTerm) for one in (self.variant, variant))
         changed = replace(self, section=section, variant=variant)
         if before and after and len(before[0].own.places) == len(after[0].own.places):
             return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
@@ -447,12 +447,7 @@ class DesignVariant:
         return total / count
 
 
-def list_functions(variant: Variant) -> list[LowRankGPTerm]:
-    """Return the terms of a variant that are functions of the pose."""
-    return variant.errors.terms_of(LowRankGPTerm)
-
-
 def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
     """Return root mean squares of the functions of a variant as they are expected, mm at the tool."""
-    there = [one.sort for one in list_functions(variant)]
+    there = [one.sort for one in variant.errors.terms_of(LowRankGPTerm)]
     return config.model_error.sizes(there)

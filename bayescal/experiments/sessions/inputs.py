@@ -305,9 +305,7 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings]
     first = sessions[0].with_pose_guesses
     if first.likelihood.model.legs is None or not first.likelihood.model.reads_pose:
         return
-    theta = first.theta(first.least_squares_start()[None])[
-        0
-    ]  # the machine that explains the first session best by itself
+    (theta,) = first.theta(first.least_squares_start()[None])  # the machine that explains the first best by itself
     off = np.stack([_find_offsets(one, theta) for one in sessions])
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
     limit = MAX_DRIFT_SCALES * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM

@@ -135,7 +135,6 @@ def _place(name: str, group: Group, places: Array) -> list[ScenePoint]:
 @_describe.register
 def _describe_sliding(machine: SlidingPlatform, name: str) -> Page:
     """Return the page of a planar machine: guides, carriages at home, platform."""
-    del name  # it has its own
     x, y, angle = machine.home.tolist()
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     upper = np.array([x, y]) + machine.platform_points @ turn.T
@@ -159,7 +158,7 @@ def _describe_sliding(machine: SlidingPlatform, name: str) -> Page:
     columns += [Column("beta", "deg", symbolic=True), Column("l", "mm", symbolic=True)]
     numbers = np.column_stack([machine.guide_points, np.degrees(machine.guide_angles), machine.leg_lengths])
     table = _tabulate("Nominal guides and legs.", columns, numbers)
-    return _make_page(machine.name, f"A planar platform on {n} sliding legs.", (scene,), table)
+    return _make_page(name, f"A planar platform on {n} sliding legs.", (scene,), table)
 
 
 # --- struts that gravity bends and temperature stretches ---------------------------------------------------------

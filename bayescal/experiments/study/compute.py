@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 
@@ -46,7 +45,9 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         **({} if claims is None else {"publication": claims.describe()}),
     }
     if slip is None:
-        found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (MisstatedInput,))
+        # of the largest evidence, of those that converged if any did
+        best = max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
+        found = run.once("noise and tolerances", _find_misstated, (inputs, best), (MisstatedInput,))
         summary["misstated"] = None if found is None else asdict(found)
     if claims is not None:
         judge = partial(run.once, "claims", _judge, (inputs, dict(summary)))
@@ -56,11 +57,6 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
     trees = {name: fit.evaluated[TREE] for name, fit in fits.items() if TREE in fit.evaluated}
     files = {f"posterior/{stem_of(name)}.nc": partial(write_packed, tree) for name, tree in trees.items()}
     return Results(summary, tables, {**files, **list_machine_files(inputs)})
-
-
-def _name_best(fits: Mapping[str, ReadingFit]) -> str:
-    """Return the variant of the largest evidence, of those that converged if any did."""
-    return max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
 
 
 def _find_misstated(task: tuple[StudyInputs, str]) -> MisstatedInput | None:

@@ -43,9 +43,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
             rows[address] = _read_row(config, Outcome.of(str(error)))
         taken.append(values)
         addresses.append(address)
-    if (
-        run.store is not None and config.cache_dir
-    ):  # members are kept beside the results directory, for other sweeps too
+    if run.store is not None and config.cache_dir:  # members are kept beside the results, for other sweeps too
         run = replace(run, store=open_pool(run.store.out.resolve().parent / config.cache_dir))
     is_told = False
     for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):

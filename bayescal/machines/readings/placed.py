@@ -198,9 +198,7 @@ class PointInstrument(Instrument):
         """Return the frame that fits points best, by Kabsch's algorithm; see `Instrument.propose`."""
         frame, _ = fit_point_frame(_find_target(stated, position, rotation), seen[:, :3])
         found = [{}, _list_frame("frame", *frame)]
-        if (
-            "target" in stated
-        ):  # a target far from the tool's centre moves as it turns: all turns of the frame are tried
+        if "target" in stated:  # one far from the tool's centre moves as it turns: all turns of the frame are tried
             for vector in list_turns(vector_of(frame[1])):
                 place, target = fit_places(position, rotation, seen[:, :3], rotation_matrix(vector))
                 found.append({"frame": place, "frame_r": vector, "target": target})

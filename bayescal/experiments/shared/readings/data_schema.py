@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -61,6 +61,7 @@ class TargetDataConfig(DataTable):
 
     kind: Literal["targets"]
     """`"targets"`."""
+    name: ClassVar[str] = ""
     actuators: InputFile
     """CSV file of actuator positions."""
     reference: InputFile

@@ -105,7 +105,7 @@ class Measured:
     @property
     def instruments(self) -> dict[str, Instrument]:
         """The tracker, by what begins the names of its parameters and channels."""
-        return {} if self.tracker is None else {name_instrument(self.data): self.tracker}
+        return {} if self.tracker is None else {self.data.name: self.tracker}
 
     def spread(self, model: ReadingModel) -> PoseReadings:
         """Return the readings of all channels (K) of the machine with its instruments; NaN where there are none."""
@@ -135,11 +135,6 @@ class Measured:
         if self.data.kind == "points" and isinstance(self.tracked, TrackedPoints):
             stations = None if self.data.stations is None else self.folder / self.data.stations
             check_places(expected, self.tracked, read_stations(stations).position, path)
-
-
-def name_instrument(data: InstrumentTable) -> str:
-    """Return what begins the names of a table's channels and frames."""
-    return "" if data.kind == "targets" else data.name
 
 
 def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
@@ -333,7 +328,7 @@ class InstrumentReader:
         """Return readings of the actuators and blocks of readings: of the machine's pose, or of a tracker."""
         commands, q = self._commands if taken.actuators.shape[1] else (), len(self.machine.coordinates)
         enough = len(commands) == q or (len(commands) > q and len({one.unit for one in commands}) == 1)
-        name, channels = name_instrument(data), POSE_CHANNELS if tracker is None else tuple(tracker.channels)
+        name, channels = data.name, POSE_CHANNELS if tracker is None else tuple(tracker.channels)
         seen = channels if tracker is None else tuple(rename_channel(name, one) for one in channels)
         readings = _gather(enough, taken, blocks)
         return Measured(data, self.folder, readings, commands, seen, poses, described, tracker, **others)
