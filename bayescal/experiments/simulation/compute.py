@@ -185,7 +185,7 @@ class SeenTool:
         config = self.config
         pairs = np.concatenate([self.frames[:-1], np.broadcast_to(self.frames[-1:], self.frames[:-1].shape)], axis=1)
         seen = move_frames(pairs, position[None], rotation[None])
-        if isinstance(config, PointInstrumentConfig):
+        if config.kind == "points":
             return {"points.csv": _format_points(names, seen, config, self.folder, origin, rng)}
         return {"poses.csv": _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)}
 
@@ -198,7 +198,7 @@ def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path
         raise InputError("sensors: found no commanded channel, expected some with [instrument]")
     if not model.places_tool:
         raise InputError("machine: found no place of its tool, expected tool_channels of its class, up to three in mm")
-    turned = isinstance(section, PointInstrumentConfig) or section.arcseconds is not None
+    turned = section.kind == "points" or section.arcseconds is not None
     if turned and not InstrumentedMachine(model, ()).tells_rotation:
         raise InputError(
             "instrument: found a machine that does not say how its tool is turned, expected poses without "
