@@ -7,9 +7,10 @@ import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bayescal.calibrated.exported import keep_machines
 from bayescal.config.load import read_toml
@@ -69,7 +70,7 @@ class MachineFiles:
         layout = self.model.layout
         return pd.DataFrame({"parameter": layout.names, "nominal": layout.nominal, "unit": layout.units})
 
-    def read(self, pose: Any, parameters: Any = None, **given: Any) -> pd.DataFrame:
+    def read(self, pose: ArrayLike, parameters: ArrayLike | None = None, **given: ArrayLike) -> pd.DataFrame:
         """Return what its channels read at poses (P, q), of the nominal machine or of parameters (D,).
 
         What a class's `given` names is stated by keywords, a number or one for each pose.

@@ -41,7 +41,7 @@ class StatedExperiment:
     labels: dict[str, str] = field(default_factory=lambda: dict(ARGUMENTS))
     file: str = CONFIG
 
-    def state(self, **sections: Any) -> None:
+    def state(self, **sections: object) -> None:
         """Add sections to the content, files and tables in them as names of files."""
         self.content.update({name: one for name, value in sections.items() if (one := self._state(value, name)) != {}})
 

@@ -27,7 +27,7 @@ from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.manifest import check_whole
 from bayescal.files.netcdf import read_netcdf
 from bayescal.files.toml import format_toml
-from bayescal.machines.deformations import MatrixDeformation, NominalDeformation
+from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
 from bayescal.machines.mechanism import ExternalLoad, Mechanism
 from bayescal.machines.read import LEGS, build_named_machine, list_machine_sources, load_mechanism, read_reading_model
@@ -101,12 +101,12 @@ def list_mechanism_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     if hindrance:
         raise InputError(f"variant {calibrated.source.variant!r}: found {hindrance}")
     check_home_pose(machine)
-    bends = isinstance(machine.deformation, MatrixDeformation)
+    bends = machine.deformation.uses_matrix
     own = {"mechanism": MECHANISM, "model": machine.model.name, "deformation": "matrix" if bends else "none"}
     texts = _format_calibrated(calibrated, own | ({"matrix": MATRIX} if bends else {}))
     texts[MECHANISM] = format_mechanism(machine.mechanism, calibrated.source.describe())
-    if isinstance(machine.deformation, MatrixDeformation):
-        texts[MATRIX] = format_matrix(machine.deformation.matrix)
+    if bends:
+        texts[MATRIX] = format_matrix(machine.deformation.coupling(machine.mechanism.n_legs))
     if isinstance(calibrated.errors, LegErrors) and calibrated.errors.matrix_covariance is not None:
         texts[MATRIX_COVARIANCE] = format_matrix_covariance(calibrated.errors.matrix_covariance)
     return {name: text.encode() for name, text in texts.items()}

@@ -124,7 +124,7 @@ def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[s
         machine, variant = calibrated.legs, calibrated.source.variant
     if machine.mechanism.drive not in drives:
         raise InputError(f"format {what}: found base actuators in variant {variant!r}, expected struts")
-    if not isinstance(machine.model, SixPus | SixUps):
+    if not machine.model.has_perfect_joints:
         raise InputError(
             f"format {what}: found model {machine.model.name!r} in variant {variant!r}, expected "
             f"perfect joints, {SixPus.name} or {SixUps.name}"

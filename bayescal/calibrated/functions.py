@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -32,7 +32,6 @@ from bayescal.density.calibration.model_error import (
     OwnChannelRows,
     RandomTerm,
 )
-from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.linear_gaussian import condition, whiten
 from bayescal.density.pose_kernels import DRIFT, OWN_COLUMNS, POSE_KERNELS, KernelInput, PoseFunctions
 from bayescal.density.sessions import ReadingRows
@@ -77,7 +76,7 @@ class KnownFunctions:
 
         None, too, where there are other errors common to all rows.
         """
-        terms = [one for one in posterior.errors.terms if isinstance(one, GPTerm)]
+        terms = posterior.errors.terms_of(GPTerm)
         if not terms or len(terms) < len(posterior.errors.common):
             return None
         thin, first, n_channels = _thin(posterior), terms[0].own, len(posterior.likelihood.model.channels)
@@ -85,9 +84,8 @@ class KnownFunctions:
         assert place.time is not None
         chosen = np.linspace(0, len(y) - 1, min(SIZES, len(y))).astype(int)
         zetas = thin.errors.limit(thin.zeta(y))[chosen]
-        pairs = thin.errors.of(zetas)
-        functions = [(one, own) for one, own in pairs if isinstance(one, GPTerm)]
-        random = [one.variance(own, thin.likelihood.data) for one, own in pairs if isinstance(one, RandomTerm)]
+        functions = thin.errors.parts_of(GPTerm, zetas)
+        random = [one.variance(own, thin.likelihood.data) for one, own in thin.errors.parts_of(RandomTerm, zetas)]
         independent = np.sum([one.mean(axis=(0, 1)) for one in random], axis=0) if random else np.zeros(n_channels)
         mean, covariance = _integrate(thin, y.mean(axis=0), zetas)
         sizes = {one.sort: one.amplitude(own) for one, own in functions}
@@ -217,7 +215,7 @@ class KnownFunctions:
         }
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, Any], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
+    def of_arrays(cls, arrays: Mapping[str, object], names: Sequence[str], sorts: Sequence[str]) -> KnownFunctions:
         """Return them from their arrays; columns of smooth functions may be others of the same span elsewhere."""
         numbers = [one.name for one in fields(cls) if one.name not in ("names", "sorts")]
         own = {key: np.asarray(arrays[key], dtype=np.float64) for key in numbers}
@@ -254,11 +252,7 @@ def read_known(path: Path, group: str | None = None) -> tuple[KnownFunctions, li
 def _thin(posterior: CalibrationPosterior) -> CalibrationPosterior:
     """Return a posterior whose functions are of few columns."""
     n = len(posterior.likelihood.model.channels)
-    terms = tuple(
-        LowRankGPTerm(one.sort, one.own, one.scale, one.floor, n) if isinstance(one, GPTerm) else one
-        for one in posterior.errors.terms
-    )
-    return replace(posterior, errors=ErrorModel(terms, posterior.errors.outliers))
+    return replace(posterior, errors=posterior.errors.change(GPTerm, lambda one: one.thin(n)))
 
 
 def _integrate(posterior: CalibrationPosterior, y: Array, zetas: Array) -> tuple[Array, Array]:
@@ -281,7 +275,7 @@ def _integrate(posterior: CalibrationPosterior, y: Array, zetas: Array) -> tuple
         grams = [one + other for one, other in zip(grams, found, strict=True)] if grams else found
     prior = posterior.sampling.prior_slope(change)
     pull = prior.T @ posterior.sampling.prior_residual(y[:m], theta)
-    sorts = [one.sort for one in posterior.errors.terms if isinstance(one, GPTerm)]
+    sorts = [one.sort for one in posterior.errors.terms_of(GPTerm)]
     lasting = np.append(np.ones(m, dtype=bool), np.repeat([name != DRIFT for name in sorts], rows.widths))
     natural = change[posterior.sampling.free]
     means, covariances = [], []

@@ -27,8 +27,6 @@ from bayescal.machines.kinematics import Machine, build_machine
 from bayescal.machines.mechanism import BeamSection, Flexures
 from bayescal.machines.models import MODELS
 from bayescal.machines.models.legs import actuator_directions, chart_of
-from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings import Channel, Legs, ReadingModel
 from bayescal.machines.readings.base import NO_CONDITIONS, Given
@@ -50,8 +48,7 @@ def find_export_obstacle(machine: Machine) -> str:
         return "a user-defined model or deformation, expected built-in ones"
     if isinstance(machine.deformation, FreeMatrixDeformation):
         return "deformation 'free_matrix', expected 'matrix' or another"
-    perfect = isinstance(machine.model, SixPus | SixUps)
-    if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not perfect:
+    if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not machine.model.has_perfect_joints:
         return (
             f"model {machine.model.name!r} of {machine.mechanism.n_legs} legs, expected "
             f"{DEGREES_OF_FREEDOM} legs or perfect joints"
@@ -82,7 +79,7 @@ def settle_legs(legs: Legs, theta: Array) -> Legs:
     deformation: Deformation = NoDeformation()
     if KAPPA in layout.index:
         kappa = layout.take(theta, KAPPA)
-        rest = machine.deformation.matrix if isinstance(machine.deformation, MatrixDeformation) else np.zeros((1, 1))
+        rest = machine.deformation.coupling(len(kappa))
         deformation = MatrixDeformation(np.where(np.eye(len(kappa), dtype=bool), np.diag(kappa), rest))
     return Legs(build_machine(type(machine.model), moved, deformation))
 

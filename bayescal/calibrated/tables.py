@@ -60,12 +60,11 @@ def read_quantities(table: CsvTable, wanted: Sequence[Channel | Coordinate], pre
     for k, one in enumerate(wanted):
         if k in turned:
             continue
-        stem = one.stem if isinstance(one, Channel) else one.name
-        known = {f"{prefix}{stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
+        known = {f"{prefix}{one.stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
         there = [name for name in table.columns if name in known]
         if not there:
-            listed = " or ".join(dict.fromkeys([f"{prefix}{stem}_{one.unit}", *known]))
-            raise InputError(f"{table.path}: found no column '{prefix}{stem}_{one.unit}', expected {listed}")
+            listed = " or ".join(dict.fromkeys([f"{prefix}{one.stem}_{one.unit}", *known]))
+            raise InputError(f"{table.path}: found no column '{prefix}{one.stem}_{one.unit}', expected {listed}")
         if len(there) > 1:
             raise InputError(f"{table.path}: found columns {there[0]!r} and {there[1]!r}, expected one of them")
         values[:, k] = known[there[0]] * table.numbers(there)[:, 0]
@@ -86,9 +85,8 @@ def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> li
     """Return the columns that some quantities may be in, the first of each in its own unit."""
     names: list[str] = []
     for one in wanted:
-        stem = one.stem if isinstance(one, Channel) else one.name
         units = dict.fromkeys([one.unit, *units_like(one.unit)])
-        names += [f"{prefix}{stem}_{unit}" for unit in units]
+        names += [f"{prefix}{one.stem}_{unit}" for unit in units]
     return names + [f"{prefix}{name}" for name in OTHER_COLUMNS if _find_turned(wanted)]
 
 

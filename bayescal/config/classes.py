@@ -100,13 +100,13 @@ def _split(value: object) -> tuple[str, Mapping[str, Any]]:
 
 
 def _write(value: str) -> str | dict[str, Any]:
-    options = value.options if isinstance(value, ClassName) else {}
-    return {CLASS: str(value), **options} if options else str(value)
+    name, options = _split(value)
+    return {CLASS: name, **options} if options else name
 
 
 def label_class(name: str) -> str:
     """Return what tables and files call a class that a config names."""
-    return name.label if isinstance(name, ClassName) else ClassName(name).label
+    return ClassName(name, found=getattr(name, "found", None)).label
 
 
 class OwnSection(Section):
@@ -181,9 +181,10 @@ def choose[T](
     ``field`` says where the name stands, for the message, whose file the caller adds; names of files start at
     ``folder``. ``options`` are those that stand beside the name, and not with it.
     """
-    known = isinstance(name, ClassName) and name.found is not None and issubclass(name.found, base)
-    found = name.found if known else find_class(what, name, base, field, None, folder)  # type: ignore[attr-defined]
-    given = dict(name.options) if options is None and isinstance(name, ClassName) else dict(options or {})
+    found = getattr(name, "found", None)
+    if found is None or not issubclass(found, base):
+        found = find_class(what, name, base, field, None, folder)
+    given = dict(_split(name)[1] if options is None else options)
     return ClassReference(found, check_section(_schema_of(found), given, Path(field), "", folder))
 
 
@@ -219,7 +220,7 @@ def find_classes(section: Section, folder: Path) -> list[type]:
     return [one.found or load_class(one.registry, one, folder) for one in names]
 
 
-def _walk(value: Any, mark: FileMark | None = None) -> Iterator[tuple[Any, FileMark | None]]:
+def _walk(value: object, mark: FileMark | None = None) -> Iterator[tuple[object, FileMark | None]]:
     """Yield everything in a section that holds nothing else, with the mark of a field that may name a file."""
     if isinstance(value, Section):
         for name, own in _mark_fields(type(value)).items():
@@ -241,7 +242,7 @@ def _mark_fields(section: type[Section]) -> dict[str, FileMark | None]:
     return found
 
 
-def _list_metadata(annotation: Any) -> Iterator[Any]:
+def _list_metadata(annotation: object) -> Iterator[object]:
     """Yield what annotations say beside types, inside unions too."""
     if get_origin(annotation) is Annotated:
         yield from get_args(annotation)[1:]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
 
 from bayescal.config.sections import Section
 from bayescal.errors import InputError
@@ -101,7 +102,7 @@ def check_section[S: Section](
         raise InputError(first, others) from error
 
 
-def _choose_faults(error: ValidationError) -> list[Any]:
+def _choose_faults(error: ValidationError) -> list[ErrorDetails]:
     """Return a fault for each place, that to be told first before the others.
 
     Unknown keys come first, since they explain the missing ones; then the deepest place, since a list that may also be
@@ -111,7 +112,7 @@ def _choose_faults(error: ValidationError) -> list[Any]:
     rank = {"extra_forbidden": -1, "list_type": 1}
     told = [one for one in error.errors() if one["type"] != "default_factory_not_called"]  # for another field's fault
     faults = sorted(told, key=lambda one: (rank.get(one["type"], 0), -len(_keys_of(one["loc"]))))
-    chosen: dict[tuple[int | str, ...], Any] = {}
+    chosen: dict[tuple[int | str, ...], ErrorDetails] = {}
     for fault in faults:
         place = tuple(_keys_of(fault["loc"]))
         if not any(place[: len(other)] == other[: len(place)] for other in chosen):
@@ -119,7 +120,7 @@ def _choose_faults(error: ValidationError) -> list[Any]:
     return list(chosen.values())
 
 
-def _describe(fault: Any, schema: type[Section], path: Path, text: str) -> str:
+def _describe(fault: ErrorDetails, schema: type[Section], path: Path, text: str) -> str:
     """Return a fault as one line."""
     location = _keys_of(fault["loc"])
     field = ".".join(str(part) for part in location) or "the file"
@@ -156,7 +157,7 @@ def _short(value: object) -> str:
     return text if len(text) < 60 else text[:57] + "..."
 
 
-def _find_sections(schema: Any, location: list[Any]) -> list[type[BaseModel]]:
+def _find_sections(schema: object, location: Sequence[int | str]) -> list[type[BaseModel]]:
     """Return the sections that may stand at a location, looking through lists, unions and dictionaries."""
     found = [schema]
     for part in location:
@@ -164,9 +165,9 @@ def _find_sections(schema: Any, location: list[Any]) -> list[type[BaseModel]]:
     return [model for kind in found for model in _models(kind)]
 
 
-def _step(kind: Any, part: Any) -> list[Any]:
+def _step(kind: object, part: int | str) -> Sequence[object]:
     if str(part).startswith(MEASURED):
-        return _find_tagged(kind, part)
+        return _find_tagged(kind, str(part))
     if isinstance(part, int):
         return _list_items(kind)
     models = _models(kind)
@@ -174,7 +175,7 @@ def _step(kind: Any, part: Any) -> list[Any]:
     return hits or models
 
 
-def _list_items(kind: Any) -> list[Any]:
+def _list_items(kind: object) -> list[object]:
     """Return what the items of a list are, of what may be one."""
     kind = getattr(kind, "__value__", kind)
     if get_origin(kind) is list:
@@ -182,7 +183,7 @@ def _list_items(kind: Any) -> list[Any]:
     return [hit for one in get_args(kind) for hit in _list_items(one)]
 
 
-def _find_tagged(kind: Any, tag: str) -> list[Any]:
+def _find_tagged(kind: object, tag: str) -> list[object]:
     """Return the branch of a union that has a tag."""
     inner = get_args(getattr(kind, "__value__", kind))
     if any(getattr(one, "tag", None) == tag for one in inner):
@@ -190,7 +191,7 @@ def _find_tagged(kind: Any, tag: str) -> list[Any]:
     return [hit for one in inner for hit in _find_tagged(one, tag)]
 
 
-def _models(kind: Any) -> list[type[BaseModel]]:
+def _models(kind: object) -> list[type[BaseModel]]:
     """Return all pydantic models inside a type."""
     kind = getattr(kind, "__value__", kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):

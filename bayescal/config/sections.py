@@ -60,7 +60,7 @@ class Section(BaseModel):
 
     @field_validator("*")
     @classmethod
-    def _check_text(cls, value: Any) -> Any:
+    def _check_text(cls, value: object) -> object:
         """Refuse texts of any length, and what would command a terminal or turn what is read around.
 
         Lines and tabs are all that a text may have besides letters.
@@ -74,7 +74,7 @@ class Section(BaseModel):
 
     @field_validator("*")
     @classmethod
-    def _check_size(cls, value: Any, info: ValidationInfo) -> Any:
+    def _check_size(cls, value: object, info: ValidationInfo) -> object:
         """Refuse numbers that nobody means in the unit that their key ends with."""
         key = info.field_name or ""
         unit = key.rpartition("_")[2]
@@ -86,7 +86,7 @@ class Section(BaseModel):
         return value
 
 
-def _list_texts(value: Any) -> Iterator[str]:
+def _list_texts(value: object) -> Iterator[str]:
     """Yield the texts of a field, those of its lists and the keys of its tables too."""
     if isinstance(value, str):
         yield value
@@ -95,7 +95,7 @@ def _list_texts(value: Any) -> Iterator[str]:
             yield from _list_texts(one)
 
 
-def _list_numbers(value: Any) -> Iterator[float]:
+def _list_numbers(value: object) -> Iterator[float]:
     """Yield the numbers of a field, those of its lists and tables too; sections look at their own."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         yield float(value)

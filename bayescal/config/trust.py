@@ -175,7 +175,7 @@ def _list_named(path: Path) -> Iterator[str]:
     import tomllib
 
     try:
-        waiting: list[Any] = [tomllib.loads(path.read_text(encoding="utf-8-sig"))]
+        waiting: list[object] = [tomllib.loads(path.read_text(encoding="utf-8-sig"))]
     except (OSError, ValueError, RecursionError):  # whoever reads it says so
         return
     while waiting:

@@ -61,6 +61,11 @@ class Prior(ABC):
     # --- moments -----------------------------------------------------------------------------------------------------
 
     @property
+    def bounds(self) -> tuple[float, float]:
+        """Ends of the range in which all values are alike, infinite where there is no such range."""
+        return -np.inf, np.inf
+
+    @property
     @abstractmethod
     def mean(self) -> float:
         """Mean of the prior."""
@@ -128,6 +133,11 @@ class UniformPrior(Prior):
     def value(self, zeta: Array) -> Array:
         """Return values by their share of the width."""
         return self.lower + (self.upper - self.lower) * ndtr(zeta)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The two bounds."""
+        return self.lower, self.upper
 
     @property
     def mean(self) -> float:

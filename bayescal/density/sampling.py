@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from bayescal.density.posterior import Sampling
-from bayescal.density.priors import HALF_LOG_TWO_PI, Prior, UniformPrior
+from bayescal.density.priors import HALF_LOG_TWO_PI, Prior
 from bayescal.errors import InputError
 from bayescal.machines.coordinates import Coordinates, mirror_direction
 from bayescal.machines.parameters import ParameterLayout
@@ -84,9 +84,9 @@ class AffineSampling(Sampling):
     @cached_property
     def _uniform(self) -> tuple[np.ndarray, Array]:
         """Which priors are uniform, and their widths, standard deviations of the others."""
-        uniform = np.array([isinstance(one, UniformPrior) for one in self.priors], dtype=bool)
-        widths = [one.upper - one.lower if isinstance(one, UniformPrior) else one.sd for one in self.priors]
-        return uniform, np.array(widths)
+        lower, upper = np.array([one.bounds for one in self.priors]).reshape(-1, 2).T
+        uniform = np.isfinite(lower)
+        return uniform, np.where(uniform, upper - lower, [one.sd for one in self.priors])
 
     def _deviate(self, y: Array) -> Array:
         """Return deviations from the priors' means, (..., m)."""
@@ -160,8 +160,7 @@ def build_sampling(
         return AffineSampling.build(layout, priors, fixed, common)
     names, start, moved = place_free(layout, priors, fixed, {})
     free, ordered = np.flatnonzero(moved.any(axis=0)), tuple(priors[name] for name in names)
-    bounds = [(p.lower, p.upper) if isinstance(p, UniformPrior) else (-np.inf, np.inf) for p in ordered]
-    lower, upper = np.array(bounds).reshape(-1, 2).T
+    lower, upper = np.array([p.bounds for p in ordered]).reshape(-1, 2).T
     scale = np.array([p.sd for p in ordered])
     found = straighten(Coordinates(layout, start, free, scale, np.zeros((0, 3)), lower, upper))
     if found is None:

@@ -50,7 +50,7 @@ class MemoryPath(Path):
         """Return a hash that equal paths share."""
         return hash(self.parts)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Take the tree along to other processes."""
         return _restore, (type(self), self.parts, self.files)
 
@@ -107,7 +107,7 @@ class MemoryPath(Path):
         self.files[moved._key] = self.files.pop(self._key)
         return moved
 
-    def rglob(self, pattern: str, **_: Any) -> Generator[Self, None, None]:
+    def rglob(self, pattern: str, **_: object) -> Generator[Self, None, None]:
         """Yield the files below a folder whose names match a pattern."""
         for name in sorted(self.files):
             path = self.with_segments(name)
@@ -119,7 +119,7 @@ class MemoryPath(Path):
         names = [path.relative_to(self).parts[0] for path in self.rglob("*")]
         yield from (self / name for name in dict.fromkeys(names))
 
-    def glob(self, pattern: str, **_: Any) -> Generator[Self, None, None]:
+    def glob(self, pattern: str, **_: object) -> Generator[Self, None, None]:
         """Yield the files below a folder whose relative names match a pattern."""
         depth = len(PurePath(pattern).parts)
         yield from (path for path in self.rglob(pattern) if len(path.relative_to(self).parts) == depth)

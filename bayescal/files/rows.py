@@ -163,7 +163,7 @@ def _list_columns(row: type[TableRow]) -> tuple[ColumnType, ...]:
     return tuple(_describe_column(one, hints[one.name]) for one in fields(row) if one.name != OTHERS)
 
 
-def _describe_column(one: Field[Any], kind: Any) -> ColumnType:
+def _describe_column(one: Field[object], kind: object) -> ColumnType:
     """Return a column of a field and its type: str, float, int, bool, literal texts, or one of these or None."""
     inner = [part for part in get_args(kind) if part is not NoneType] if NoneType in get_args(kind) else [kind]
     kind, choices = getattr(inner[0], "__value__", inner[0]), ()

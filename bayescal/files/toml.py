@@ -14,7 +14,7 @@ def format_toml(comments: Sequence[str], content: Mapping[str, Any]) -> str:
     return "".join(f"# {one}\n" for one in comments) + write_toml(_simplify(content))
 
 
-def _simplify(value: Any) -> Any:
+def _simplify(value: object) -> Any:
     """Return lists instead of arrays, and tables without what is None."""
     if isinstance(value, Mapping):
         return {key: _simplify(one) for key, one in value.items() if one is not None}
@@ -36,7 +36,7 @@ def write_toml(content: Mapping[str, Any]) -> str:
     return "".join(lines)
 
 
-def _is_section(value: Any) -> bool:
+def _is_section(value: object) -> bool:
     return isinstance(value, Mapping) or (
         isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
     )
@@ -47,7 +47,7 @@ def _quote(key: str) -> str:
     return key if plain else json.dumps(key, ensure_ascii=False)
 
 
-def _write(value: Any) -> str:
+def _write(value: object) -> str:
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_quote(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}" if inner else "{}"

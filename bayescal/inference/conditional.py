@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -95,6 +95,7 @@ class ExactConditional:
 
     geometry: LinearGeometry
     errors: Array
+    exact: ClassVar[None] = None  # it is no fit
 
     def open(self, zeta: Array) -> tuple[Array, Array, Array]:
         """Return L⁻ᵀ (B, m, m), s (B, m) and log |L⁻ᵀ| (B,) at ζ (B, k)."""

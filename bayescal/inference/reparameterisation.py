@@ -262,9 +262,8 @@ class Reparameterisation:
 
     def exactly(self) -> Reparameterisation | None:
         """Return the same with geometry given the errors as in closed form; None where no fit to that is there."""
-        return (
-            replace(self, conditional=self.conditional.exact) if isinstance(self.conditional, ConditionalMap) else None
-        )
+        exact = None if self.conditional is None else self.conditional.exact
+        return None if exact is None else replace(self, conditional=exact)
 
     def carry(self, y: Array, covariance: Array, *, follow: bool = True) -> Array:
         """Return a covariance (n, n) around y, shape (n,), as it is in straight coordinates, to first order.

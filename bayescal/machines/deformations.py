@@ -74,6 +74,10 @@ class Deformation(ABC):
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return the parameters with their nominal values."""
 
+    def coupling(self, n_legs: int) -> Array:
+        """Return K, what is known of how actuators move all joints, shape (N, N), mm per mm; zeros by default."""
+        return np.zeros((n_legs, n_legs))
+
     @abstractmethod
     def _parts(self, displacement: Array) -> tuple[Array, Mapping[str, Array]]:
         """Return the constant and the coefficients for displacements (..., N) in mm."""
@@ -138,6 +142,11 @@ class MatrixDeformation(Deformation):
     def from_nominal(cls, nominal: NominalDeformation) -> Self:
         """Return the deformation with the nominal K."""
         return cls(nominal.matrix())
+
+    def coupling(self, n_legs: int) -> Array:
+        """Return K."""
+        del n_legs
+        return self.matrix
 
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return the diagonal of K as κ."""

@@ -8,7 +8,6 @@ reals.
 from __future__ import annotations
 
 from math import factorial
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from bayescal.numerics.geometry import compute_left_inverse_jacobian, rotation_v
 SERIES_TERMS = 16  # π³²/33! is less than rounding
 
 
-def sqrt(value: Any) -> Any:
+def sqrt(value: np.ndarray) -> np.ndarray:
     """Return the root; of a complex number to first order in its imaginary part, several times as fast as NumPy's.
 
     NaN where the real part is negative: there a step goes no way that is one of real numbers.
@@ -30,17 +29,17 @@ def sqrt(value: Any) -> Any:
     return found
 
 
-def norm(vector: Any, axis: int = -1) -> Any:
+def norm(vector: np.ndarray, axis: int = -1) -> np.ndarray:
     """Return the length sqrt(Σ x²) of vectors along an axis."""
     return np.sqrt((np.asarray(vector) ** 2).sum(axis=axis))
 
 
-def absolute(value: Any) -> Any:
+def absolute(value: np.ndarray) -> np.ndarray:
     """Return x or -x, whichever has no negative real part."""
     return np.where(np.real(value) < 0.0, -np.asarray(value), value)
 
 
-def atan2(y: Any, x: Any) -> Any:
+def atan2(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the angle of (x, y), in (-π, π]: that of the real parts, to first order with what imaginary ones add."""
     real = np.arctan2(np.real(y), np.real(x))
     if not (np.iscomplexobj(y) or np.iscomplexobj(x)):
@@ -49,7 +48,7 @@ def atan2(y: Any, x: Any) -> Any:
     return real + 1j * (np.real(x) * np.imag(y) - np.real(y) * np.imag(x)) / square
 
 
-def rotation_matrix(vector: Any) -> Any:
+def rotation_matrix(vector: np.ndarray) -> np.ndarray:
     """Return the rotations of rotation vectors (..., 3), at most half a turn, shape (..., 3, 3).
 
     R = 1 + A K + B K² with A = sin t / t and B = (1 - cos t) / t², both power series of t², which need no other branch
@@ -63,7 +62,7 @@ def rotation_matrix(vector: Any) -> Any:
     return np.eye(3) + first[..., None, None] * skew + second[..., None, None] * (skew @ skew)
 
 
-def rotation_vector(matrix: Any) -> Any:
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Return the rotation vectors of rotations (..., 3, 3): of their real parts, to first order with imaginary ones.
 
     NaN where there is no rotation: far beyond half a turn `rotation_matrix` makes none.
@@ -80,7 +79,7 @@ def rotation_vector(matrix: Any) -> Any:
     return vector + 1j * (compute_left_inverse_jacobian(vector) @ turn[..., None])[..., 0]
 
 
-def _sum_series(square: Any, start: int) -> Any:
+def _sum_series(square: np.ndarray, start: int) -> np.ndarray:
     """Return Σ (-t²)^k / (2k + start)!, by Horner's rule."""
     found = np.zeros_like(square)
     for k in reversed(range(SERIES_TERMS)):

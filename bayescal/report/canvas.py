@@ -25,13 +25,13 @@ class Canvas(FigureCanvasAgg):
 class Renderer(RendererAgg):
     """A renderer that knows a text's size from any other one of its resolution: figures have the same numbers."""
 
-    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: Any) -> tuple[float, float, float]:
+    def get_text_width_height_descent(self, s: str, prop: FontProperties, ismath: object) -> tuple[float, float, float]:
         """Return width, height and descent of a line of text, pixels."""
         return _measure(s, prop.copy(), ismath, self.dpi)
 
 
 @lru_cache(MOST_TEXTS)
-def _measure(text: str, font: FontProperties, ismath: Any, dpi: float) -> tuple[float, float, float]:
+def _measure(text: str, font: FontProperties, ismath: object, dpi: float) -> tuple[float, float, float]:
     ruler: Any = _make_ruler(dpi)
     width, height, descent = ruler.get_text_width_height_descent(text, font, ismath)
     return width, height, descent

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +12,10 @@ from bayescal.report.numbers import format_plain, join_words
 from bayescal.report.symbols import LONGEST_TEXT, cut
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.container import BarContainer
     from matplotlib.figure import Figure
 
 MOST_POINTS = 400  # of one artist; more would be a cloud, and half the page
@@ -95,7 +97,7 @@ def mark_points(figure: Figure) -> dict[str, list[str]]:
     return tips
 
 
-def _list_points(axes: Axes) -> Iterator[tuple[Any, Sequence[tuple[float, float]], str]]:
+def _list_points(axes: Axes) -> Iterator[tuple[Artist, Sequence[tuple[float, float]], str]]:
     """Yield what is drawn with its finite points, in data's units, and its name in the legend."""
     from matplotlib.collections import PathCollection
     from matplotlib.container import BarContainer
@@ -119,7 +121,7 @@ def _keep_finite(points: np.ndarray) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in points if np.isfinite(x) and np.isfinite(y)]
 
 
-def _name_of(artist: Any) -> str:
+def _name_of(artist: Artist | BarContainer) -> str:
     label = str(artist.get_label() or "")
     return "" if label.startswith("_") else write_plain(label)
 

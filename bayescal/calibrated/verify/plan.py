@@ -35,7 +35,7 @@ from bayescal.data.instruments.read_poses import (
     read_noise,
     read_poses,
 )
-from bayescal.data.instruments.readings import TrackedPoses, check_units
+from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_table
@@ -299,7 +299,7 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
         raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
     with name_faults(path if actuators is None else actuators):
         check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names)
-    check_units(locate_tool(calibrated.model, readings.actuators), readings, path)
+    readings.check_units(locate_tool(calibrated.model, readings.actuators), path)
     return readings
 
 

@@ -63,6 +63,13 @@ class TrackedReadings(ABC):
     def describe(self) -> dict[str, Any]:
         """Return what was read and how well it fits in itself, for the summary."""
 
+    @abstractmethod
+    def check_units(self, expected: Array, path: Path) -> None:
+        """Raise InputError where another unit explains readings that the nominal machine's poses (P, 6) do not.
+
+        Position and rotation vector of its tool, mm and rad; NaN where it cannot stand.
+        """
+
     def is_whole(self) -> bool:
         """Whether every pose is determined by its readings."""
         return bool(np.isfinite(self.poses.position).all() and np.isfinite(self.poses.rotation).all())
@@ -99,6 +106,11 @@ class TrackedPoses(TrackedReadings):
         """Return which coordinates were measured."""
         count = np.isfinite(self.values).sum(axis=0).tolist()
         return {"measured_coordinates": dict(zip(POSE, count, strict=True))}
+
+    def check_units(self, expected: Array, path: Path) -> None:
+        """Compare positions and rotation vectors."""
+        _compare(self.values[:, :3], expected[:, :3], LENGTHS, "positions", "mm", path)
+        _compare(self.values[:, 3:], expected[:, 3:], ANGLES, "rotation vectors", "degrees", path)
 
 
 ITERATIONS = 20
@@ -219,6 +231,12 @@ class TrackedPoints(TrackedReadings):
             "chi2_per_dof": sum(fit.square for fit in fits) / dof if dof else None,
         }
 
+    def check_units(self, expected: Array, path: Path) -> None:
+        """Compare points."""
+        points = np.broadcast_to(_move(self.probe, expected)[:, None], self.values.shape)
+        n = self.n_poses
+        _compare(self.values.reshape(n, -1), points.reshape(n, -1), LENGTHS, "points", "mm", path)
+
 
 def turn_of(rotation: Array) -> Array:
     """Return rotation vectors (..., 3) of rotations (..., 3, 3); NaN where these are."""
@@ -230,21 +248,6 @@ UNLIKE, SIMILAR = 0.5, 0.2  # misfits as shares of the expected change
 MAX_RANGE_FRACTION = 0.3  # of the distance of points from their station
 LENGTHS = {1e3: "metres", 1e-3: "micrometres", 25.4: "inches"}
 ANGLES = {180.0 / np.pi: "radians", np.pi / 180.0: "sixtieths of degrees"}
-
-
-def check_units(expected: Array, instrument: TrackedReadings, path: Path) -> None:
-    """Raise InputError where another unit explains readings that the nominal machine's poses (P, 6) do not.
-
-    Position and rotation vector of its tool, mm and rad; NaN where it cannot stand.
-    """
-    if isinstance(instrument, TrackedPoses):
-        _compare(instrument.values[:, :3], expected[:, :3], LENGTHS, "positions", "mm", path)
-        _compare(instrument.values[:, 3:], expected[:, 3:], ANGLES, "rotation vectors", "degrees", path)
-    elif isinstance(instrument, TrackedPoints):
-        points = _move(instrument.probe, expected)
-        expected = np.broadcast_to(points[:, None], instrument.values.shape)
-        flat = instrument.values.reshape(len(points), -1), expected.reshape(len(points), -1)
-        _compare(*flat, LENGTHS, "points", "mm", path)
 
 
 def _compare(found: Array, expected: Array, units: dict[float, str], what: str, unit: str, path: Path) -> None:

@@ -27,7 +27,7 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
 from bayescal.density.calibration.poses import MANY_ROWS
-from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.components import MOST_ROWS, LinearRows, assemble, batches
 from bayescal.density.directions import list_directions
 from bayescal.density.elimination import Whitening
@@ -92,7 +92,7 @@ class FixedCovarianceRows:
         """
         data = likelihood.data
         n_poses, n = data.sd.shape
-        thin = [one for one in errors.terms if isinstance(one, LowRankGPTerm)]
+        thin = errors.terms_of(LowRankGPTerm)
         is_few = bool(thin) and len(thin) == len(errors.common)
         m = n - len(likelihood.model.coordinates)
         if not errors.has_columns or errors.is_common_known or errors.outliers.expected or m < 1:
@@ -214,7 +214,7 @@ class FixedCovarianceRows:
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
             weights, each = errors.weights(zeta[part]), np.split(drawn[part], ends[:-1], axis=1)  # views of ``drawn``
-            is_known = [isinstance(term, CorrelatedNoise) for term in errors.common]
+            is_known = [term in errors.known for term in errors.common]
             left, known = rows[part].copy(), list[Array]()
             if errors.known:  # noise that they depend on is drawn with them
                 apart = self._assemble(own, weights * is_known)
@@ -253,7 +253,7 @@ class FixedCovarianceRows:
         """
         factor, found = np.linalg.cholesky(covariance), list[Array]()
         for term, shown, own in zip(errors.common, self.shown, each, strict=True):
-            if isinstance(term, CorrelatedNoise) and term.sign > 0.0:
+            if term in errors.known and term.sign > 0.0:
                 turned = np.linalg.solve(factor, np.broadcast_to(shown, (len(factor), *shown.shape)))
                 back = np.swapaxes(turned, -1, -2)
                 rest = np.linalg.cholesky(np.eye(turned.shape[-1]) - back @ turned)
@@ -314,9 +314,10 @@ class FixedCovarianceRows:
     ) -> Array | None:
         """Return what a named cause's directions do to the rows, (M, A), at poses (P, q); None where it has none."""
         model, data = likelihood.model, likelihood.data
-        own = next((one.own for one in errors.terms if isinstance(one, GPTerm)), None)
-        if own is None:
+        functions = errors.terms_of(GPTerm)
+        if not functions:
             return None
+        own = functions[0].own
         angles = np.array([one.unit == "rad" for one in model.coordinates], dtype=bool)
         travel = own.place_of(data).travel * ~own.covered.diagonal()
         columns = list_directions(cause, pose - model.home_pose, angles, travel)
@@ -416,12 +417,11 @@ def _turn_to_present(left: Array, present: np.ndarray) -> tuple[Array, np.ndarra
 
 def _list_alone(errors: ErrorModel) -> list[RandomTerm] | None:
     """Return the errors of single rows where they are all that is unknown of the noise; None where there is more."""
-    alone = [one for one in errors.noisy if not isinstance(one, LowRankGPTerm)]
-    found = [one for one in alone if isinstance(one, RandomTerm)]
-    return found if len(found) == len(alone) else None
+    found = errors.terms_of(RandomTerm)
+    return found if len(errors.noisy) == len(found) + len(errors.terms_of(LowRankGPTerm)) else None
 
 
 def _list_variances(errors: ErrorModel, zeta: Array) -> Array:
     """Return variances of these errors, then of functions, (B, G + C), at coordinates (B, k)."""
-    own = [term.square(part) for term, part in errors.of(zeta) if isinstance(term, RandomTerm)]
+    own = [term.square(part) for term, part in errors.parts_of(RandomTerm, zeta)]
     return np.column_stack([*own, errors.amplitudes(zeta) ** 2])

@@ -133,9 +133,9 @@ class IndependentRowsLikelihood:
         axes, _ = np.linalg.qr(slope / np.linalg.norm(slope, axis=1, keepdims=True), mode="complete")
         whitening = white.rows(np.broadcast_to(np.eye(n), (1, data.n_poses, n, n)))[0]
         left = np.swapaxes(axes[..., q:], -1, -2) @ whitening
-        channels = np.flatnonzero(~errors.is_known(n)) if errors.has_noise else np.arange(n - q)
+        channels = np.flatnonzero(~errors.is_known(n)) if errors.noisy else np.arange(n - q)
         gain = np.eye(n)[None] if likelihood.error_gain is None else likelihood.error_gain
-        seen = left @ gain[..., channels] if errors.has_noise else np.tile(np.eye(n - q), (data.n_poses, 1, 1))
+        seen = left @ gain[..., channels] if errors.noisy else np.tile(np.eye(n - q), (data.n_poses, 1, 1))
         if seen.shape[-1] != n - q or not np.all(np.linalg.cond(seen) < ILL):
             return None
         to_rows, follow = np.linalg.inv(seen), invert(slope, 0.0) @ whitening
@@ -165,7 +165,7 @@ class IndependentRowsLikelihood:
             turn[..., other] @ by_pose,
             np.broadcast_to(seen, to_rows.shape),
             known,
-            channels if errors.has_noise else channels[:0],
+            channels if errors.noisy else channels[:0],
             likelihood.offset(white, at)[0] + np.linalg.slogdet(to_rows)[1],
             drift,
             raw[:, own],

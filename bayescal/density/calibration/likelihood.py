@@ -411,7 +411,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def with_pose_guesses(self, sampling: Sampling, errors: ErrorModel) -> Self:
         """Return the same density that looks for poses from those of the least-squares solution."""
-        alone = errors.without_columns() if errors.list_acts(self.data) else errors
+        alone = errors.without(errors.common) if errors.list_acts(self.data) else errors
         (y, pose), m = self._fit(sampling, alone if errors.is_common_known else errors), sampling.size
         theta, zeta = sampling.theta_from_y(y[None, :m])[0], np.zeros((NEARBY, alone.n_parameters))
         white = self.whiten(*self.noise(alone, zeta[:1]))
@@ -422,7 +422,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
         frozen = FixedCovarianceRows.build(found, errors, theta)
         lone = IndependentRowsLikelihood.build(
-            found, errors if errors.is_common_known else errors.without_columns(), theta
+            found, errors if errors.is_common_known else errors.without(errors.common), theta
         )
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
@@ -481,7 +481,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         change = sampling.jacobian(theta[0])
         if self.frozen is not None:
             return self.frozen.linear_rows(self, theta[0], change, errors, cause)
-        if cause or self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.has_noise:
+        if cause or self.expansion is None or errors.has_columns or errors.outliers.expected or not errors.noisy:
             return None
         if sampling.curved_ridges():  # which no closed form follows
             return None
@@ -506,7 +506,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def scale_dependence(self, sampling: Sampling, errors: ErrorModel, y: Array) -> ScaleDependence | None:
         """Return how the geometry depends on the noise at y, shape (n,); None where that is known."""
-        if not errors.has_noise:
+        if not errors.noisy:
             return None
         m, zeta = sampling.size, y[None, sampling.size :]
         theta = sampling.theta_from_y(y[None, :m])

@@ -313,6 +313,12 @@ class GPTerm(ErrorTerm):
         over = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
         return vectors[..., some] * size, vectors[..., some] * over
 
+    def thin(
+        self, n_channels: int, own: OwnChannelRows | None = None, over: KernelInput | None = None
+    ) -> LowRankGPTerm:
+        """Return the same of few columns, of K channels, perhaps at other rows; see `LowRankGPTerm`."""
+        return LowRankGPTerm(self.sort, own or self.own, self.scale, self.floor, n_channels, over)
+
     def with_floors(self, floors: Mapping[str, float]) -> Self:
         """Return the same with another floor; see `ErrorTerm.with_floors`."""
         return replace(self, floor=floors.get(self.sort, 0.0))

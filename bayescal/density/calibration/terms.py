@@ -16,7 +16,7 @@ keys of its ``Config``.
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -394,6 +394,24 @@ class ErrorModel:
         """Return the density of white residuals at coordinates (B, k)."""
         return self.outliers.at(zeta[:, len(self.names) - len(self.outliers.names) :])
 
+    # --- terms of a class --------------------------------------------------------------------------------------------
+
+    def terms_of[T: ErrorTerm](self, kind: type[T]) -> list[T]:
+        """Return the terms of a class."""
+        return [one for one in self.terms if isinstance(one, kind)]
+
+    def parts_of[T: ErrorTerm](self, kind: type[T], zeta: Array) -> list[tuple[T, Array]]:
+        """Return the same with their coordinates, as `of` does."""
+        return [(one, own) for one, own in self.of(zeta) if isinstance(one, kind)]
+
+    def change[T: ErrorTerm](self, kind: type[T], to: Callable[[T], ErrorTerm]) -> Self:
+        """Return the same with other terms in the places of those of a class."""
+        return replace(self, terms=tuple(to(one) if isinstance(one, kind) else one for one in self.terms))
+
+    def without(self, terms: Container[ErrorTerm]) -> Self:
+        """Return the same without some terms."""
+        return replace(self, terms=tuple(one for one in self.terms if one not in terms))
+
     # --- sizes over draws --------------------------------------------------------------------------------------------
 
     def limit(self, zeta: Array) -> Array:
@@ -431,10 +449,6 @@ class ErrorModel:
         """The terms with columns, errors common to all rows."""
         return [term for term in self.terms if type(term).columns is not ErrorTerm.columns]
 
-    def without_columns(self) -> ErrorModel:
-        """Return the terms that concern single rows alone."""
-        return ErrorModel(tuple(term for term in self.terms if term not in self.common), self.outliers)
-
     def list_acts(self, data: Measurements, gain: Array | None = None) -> list[Array]:
         """Return `ErrorTerm.act` of the terms with columns, (P, K, N) each; none where one has no single amplitude."""
         acts = [_show(term, term.act(data), gain) for term in self.common]
@@ -460,7 +474,7 @@ class ErrorModel:
     @cached_property
     def known(self) -> list[CorrelatedNoise]:
         """The terms with columns of which nothing is unknown but their coefficients."""
-        return [term for term in self.common if isinstance(term, CorrelatedNoise)]
+        return self.terms_of(CorrelatedNoise)
 
     @property
     def is_common_known(self) -> bool:
@@ -472,11 +486,6 @@ class ErrorModel:
         """The terms that change the noise of single rows."""
         factor, variance = ErrorTerm.factor, ErrorTerm.variance
         return [one for one in self.terms if type(one).factor is not factor or type(one).variance is not variance]
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether something of the noise of single rows is unknown."""
-        return bool(self.noisy)
 
     def groups(self, n_channels: int) -> Array:
         """Return which of K channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +26,7 @@ from bayescal.experiments.audit.results import (
 from bayescal.experiments.audit.rows import AXES, ProfilePathRow, ProfileRow
 from bayescal.experiments.audit.sensor_sets import FoundSets, search_sensors, tabulate_sets
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.identifiability.calibration import compare_kept, compare_with_prediction
 from bayescal.identifiability.profile import Profile, compute_profile
@@ -106,9 +105,7 @@ def tabulate_machine(inputs: DesignVariant) -> dict[str, pd.DataFrame]:
     return {"joints": tabulate_joints(model.legs.machine.mechanism, actuators, variant.data.poses)}
 
 
-def _draw_ridges(
-    audit: AuditOutcome, draws: Draws | None, summary: dict[str, Any], run: Run
-) -> dict[str, pd.DataFrame]:
+def _draw_ridges(audit: AuditOutcome, draws: Draws | None, summary: Summary, run: Run) -> dict[str, pd.DataFrame]:
     """Return profiles and what draws of the posterior show of the ridges; a summary is told of the draws."""
     inputs = audit.inputs
     level = audit_posterior(inputs, draws, audit)
@@ -219,7 +216,7 @@ def _list_cases(audit: AuditOutcome) -> dict[str, Case]:
     return cases
 
 
-def _simulate_case(inputs: DesignVariant, case: Case) -> dict[str, Any]:
+def _simulate_case(inputs: DesignVariant, case: Case) -> Summary:
     """Return what simulated calibrations reach beside what is predicted of them, in the config's units."""
     n, rng, units = (
         inputs.config.n_simulated_calibrations,
@@ -228,7 +225,7 @@ def _simulate_case(inputs: DesignVariant, case: Case) -> dict[str, Any]:
     )
     simulated, kept = inputs.simulate(n, rng, case.fitted.tolist())
     found, converged = compare_with_prediction(simulated, case.covariance), int(simulated.converged.sum())
-    fitted, ratios, symbols = np.array(inputs.symbols)[case.fitted], found.by_symbol(), dict[str, Any]()
+    fitted, ratios, symbols = np.array(inputs.symbols)[case.fitted], found.by_symbol(), dict[str, object]()
     for symbol, ratio in ratios.items():
         part = np.flatnonzero(fitted == symbol)
         places = case.fitted[part]
@@ -243,7 +240,7 @@ def _simulate_case(inputs: DesignVariant, case: Case) -> dict[str, Any]:
             "coverage_90": float(found.covered[part].mean()),
             "rms_z": float(np.sqrt(np.mean(found.z[part] ** 2))),
         }
-    requirements = dict[str, Any]()
+    requirements: Summary = {}
     for required, number in zip(inputs.requirements, kept, strict=True):
         claimed = case.probability[required.name]
         one = compare_kept(int(number), converged, claimed, DRAWS)

@@ -21,18 +21,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.linalg import subspace_angles
 
-from bayescal.density.priors import UniformPrior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.audit import AuditOutcome
 from bayescal.experiments.audit.measured import SEED, Draws, MeasuredMachine
 from bayescal.experiments.audit.planned import DesignVariant
 from bayescal.experiments.audit.rows import RidgeCurveRow, RidgeDrawRow
+from bayescal.experiments.runner.results import Summary
 from bayescal.identifiability.information import Information, root_of
 from bayescal.identifiability.profile import Profile
 from bayescal.identifiability.reading_rows import typical_given
@@ -79,7 +78,7 @@ class PosteriorLevel:
         """Return the contraction of the draws along a unit direction (n,) in units of the tolerances."""
         return 1.0 - float(vector @ self.covariance @ vector)
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """Return what ``summary.json`` says of this level, in the design's units."""
         inputs, draws = self.inputs, self.draws
         values, factors = draws.values, np.array([inputs.units.factor(unit) for unit in inputs.parameters.units])
@@ -255,13 +254,7 @@ def plot_ridges(
 def _draw_samples(inputs: DesignVariant, covariance: Array, level: PosteriorLevel | str) -> dict[str, Array]:
     """Return parameters in natural units, (S, n), by source: of the prior, and of the posterior or its forecast."""
     rng, priors = np.random.default_rng([inputs.config.seed, SEED_OF_PLOTS]), inputs.maker.list_priors(inputs.section)
-    columns = [
-        rng.uniform(prior.lower, prior.upper, MAX_DRAWS)
-        if isinstance(prior := priors[name], UniformPrior)
-        else rng.normal(prior.mean, prior.sd, MAX_DRAWS)
-        for name in inputs.names
-    ]
-    before = np.stack(columns, axis=1)
+    before = np.stack([priors[name].draw(MAX_DRAWS, rng) for name in inputs.names], axis=1)
     if not isinstance(level, str):
         return {"prior": before, "posterior": level.draws.thin(MAX_DRAWS)}
     spread = rng.standard_normal(before.shape) @ root_of(covariance)

@@ -18,7 +18,7 @@ import numpy as np
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
-from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.priors import NormalPrior, Prior
 from bayescal.errors import InputError
 from bayescal.experiments.audit.machine import plan_random
@@ -126,20 +126,18 @@ class MeasuredMachine:
             values = np.where(data.present[planned.rows], values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.plain(), planned.pose, self.workspace)
-        terms = tuple(_move(one, model, variant.data, planned.pose) for one in posterior.errors.terms)
-        return replace(variant, errors=ErrorModel(terms))
+        moved = posterior.errors.change(GPTerm, lambda one: _move(one, model, variant.data, planned.pose))
+        return replace(variant, errors=ErrorModel(moved.terms))
 
 
-def _move(term: ErrorTerm, model: ReadingModel, data: Measurements, pose: Array) -> ErrorTerm:
-    """Return a study's error at other rows; functions of the pose are made of few columns there."""
-    if not isinstance(term, GPTerm):
-        return term
+def _move(term: GPTerm, model: ReadingModel, data: Measurements, pose: Array) -> LowRankGPTerm:
+    """Return a study's functions of the pose at other rows, made of few columns there."""
     read, places = model.read(model.layout.nominal, pose, data.given), term.own.places
     home = np.full(len(model.channels), np.nan)
     home[places] = term.own.home
     rows = RowPositions.find(model.channels, data, read, home).pick(places)
     own = replace(term.own, rows=rows, n_places=data.n_poses, used=np.ones(data.n_poses, dtype=bool))
-    return LowRankGPTerm(term.sort, own, term.scale, term.floor, n_channels=len(model.channels))
+    return term.thin(len(model.channels), own)
 
 
 def read_measured(config: AuditConfig, folder: Path) -> MeasuredMachine:
@@ -247,17 +245,14 @@ def centre(measured: MeasuredMachine, run: Run) -> tuple[MeasuredMachine, Draws 
 def describe_found(
     errors: ErrorModel, zeta: Array
 ) -> tuple[float, dict[str, float], dict[str, float], dict[str, float]]:
-    """Return root mean squares over draws (S, k) of errors: τ and sizes by sort, mm, then floors, and others' means.
+    """Return root mean squares over draws (S, k) of errors: τ and sizes by sort, mm, then floors, and means.
 
-    The latter are standardised, by name.
+    The latter are of all coordinates, by name.
     """
-    square, sizes, floors, others = list[float](), dict[str, float](), dict[str, float](), dict[str, float]()
-    for term, own in errors.of(errors.limit(zeta)):
-        if isinstance(term, GPTerm):
-            sizes[term.sort] = float(np.sqrt(np.mean(term.amplitude(own) ** 2)))
-            floors |= {term.sort: term.floor} if term.floor > 0.0 else {}
-        elif isinstance(term, RandomTerm):
-            square.append(float(np.mean(term.square(own))))
-        else:
-            others |= dict(zip(term.names, own.mean(axis=0).tolist(), strict=True))
-    return float(np.sqrt(np.mean(square))) if square else 0.0, sizes, floors, others
+    limited = errors.limit(zeta)
+    square = [float(np.mean(one.square(own))) for one, own in errors.parts_of(RandomTerm, limited)]
+    functions = errors.parts_of(GPTerm, limited)
+    sizes = {one.sort: float(np.sqrt(np.mean(one.amplitude(own) ** 2))) for one, own in functions}
+    floors = {one.sort: one.floor for one, _ in functions if one.floor > 0.0}
+    means = dict(zip(errors.names, limited.mean(axis=0).tolist(), strict=True))
+    return float(np.sqrt(np.mean(square))) if square else 0.0, sizes, floors, means

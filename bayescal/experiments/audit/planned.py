@@ -17,7 +17,7 @@ from bayescal.density.calibration.joint_fit import JointFit
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
-from bayescal.density.calibration.terms import ErrorModel
+from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.pose_kernels import DRIFT, rescale
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError
@@ -109,7 +109,7 @@ class DesignVariant:
     # by term: rms over the planned poses of systematic errors as they are allowed for, mm at the tool
     sizes: Mapping[str, float]
     floors: Mapping[str, float]  # what each of these is at least, as stated, mm
-    zeta: Mapping[str, float] = field(default_factory=dict)  # standardised coordinates of other errors by name
+    zeta: Mapping[str, float] = field(default_factory=dict)  # standardised coordinates of errors by name
 
     # --- the parameters --------------------------------------------------------------------------------------------
 
@@ -121,15 +121,14 @@ class DesignVariant:
     @cached_property
     def expected(self) -> Array:
         """The machine and its errors as expected, in the posterior's coordinates."""
-        found = [np.zeros(self.posterior.n_geometry)]
-        for term in self.variant.errors.terms:
-            if isinstance(term, GPTerm | RandomTerm):
-                size = self.sizes[term.sort] if isinstance(term, GPTerm) else self.tau
-                beyond = np.array([np.sqrt(max(0.0, size**2 - term.floor**2))])
-                found.append(np.maximum(term.priors[0].standardise(beyond), OFF_COORDINATE))
-            else:
-                found.append(np.array([self.zeta[name] for name in term.names]))
-        return np.concatenate(found)
+        errors, known = self.variant.errors, dict(self.zeta)
+        sizes = list[tuple[ErrorTerm, float, float]]()
+        sizes += [(one, one.floor, self.tau) for one in errors.terms_of(RandomTerm)]
+        sizes += [(one, one.floor, self.sizes[one.sort]) for one in errors.terms_of(GPTerm)]
+        for term, floor, size in sizes:
+            beyond = np.sqrt(np.maximum(0.0, size**2 - floor**2))
+            known[term.names[0]] = max(float(term.priors[0].standardise(beyond)), OFF_COORDINATE)
+        return np.concatenate([np.zeros(self.posterior.n_geometry), [known[name] for name in errors.names]])
 
     @cached_property
     def parameters(self) -> FreeParameters:
@@ -237,7 +236,7 @@ class DesignVariant:
         likelihood, rows = bare.posterior.likelihood, see(bare.posterior, bare.expected)
         white, stand = likelihood.explain(*bare.posterior.at(bare.expected[None]))
         columns = likelihood.columns(errors, zeta, white, stand.slope)[0]
-        widths = [term.act(self.variant.data).shape[-1] for term in list_functions(self.variant)]
+        widths = [term.act(self.variant.data).shape[-1] for term in self.variant.errors.terms_of(LowRankGPTerm)]
         sorts = np.repeat(np.arange(len(widths)), widths)
         return rows.reshape(-1, rows.shape[-1]), columns.reshape(-1, columns.shape[-1]), sorts
 
@@ -246,18 +245,15 @@ class DesignVariant:
         if not true:
             return self.without_systematic_errors()
         rows = self.resize(dict.fromkeys(true, 1.0)).list_rows()
-        scale = list_functions(self.variant)[0].scale  # of the prior of each size, as a study has it, mm
+        scale = self.variant.errors.terms_of(LowRankGPTerm)[0].scale  # of the prior of each size, as a study has it, mm
         return self.resize(expect_sizes(*rows, true, self.floors, scale))
 
     def resize(self, sizes: Mapping[str, float]) -> DesignVariant:
         """Return the same with systematic errors of other sizes, mm; without those that are not named."""
-        terms = tuple(
-            replace(term, floor=0.0) if isinstance(term, GPTerm) else term
-            for term in self.variant.errors.terms
-            if not isinstance(term, GPTerm) or sizes.get(term.sort, 0.0) > 0.0
-        )
-        variant = replace(self.variant, errors=ErrorModel(terms))
-        return replace(self, variant=variant, sizes={one.sort: sizes[one.sort] for one in list_functions(variant)})
+        errors = self.variant.errors.with_floors({})
+        errors = errors.without([one for one in errors.terms_of(GPTerm) if sizes.get(one.sort, 0.0) <= 0.0])
+        kept = {one.sort: sizes[one.sort] for one in errors.terms_of(LowRankGPTerm)}
+        return replace(self, variant=replace(self.variant, errors=errors), sizes=kept)
 
     def without_systematic_errors(self) -> DesignVariant:
         """Return the same without systematic errors."""
@@ -278,7 +274,7 @@ class DesignVariant:
         names, sd = tuple(map(str, range(n))), np.ones(read.shape)
         later, columns = Measurements(names, read, sd, given, order=data.n_poses + np.arange(n)), list[Array]()
         left = np.zeros_like(variance)
-        for term in list_functions(self.variant):
+        for term in self.variant.errors.terms_of(LowRankGPTerm):
             own, size = term.own, self.sizes[term.sort]
             place, lasts, rest = own.place_of(later), term.sort != DRIFT, np.ones(n)
             columns.append(size * term.act(later) * lasts)
@@ -297,7 +293,7 @@ class DesignVariant:
         """Return the same machine at other poses; InputError for one at which it cannot stand."""
         section = section or self.section
         variant = self.maker.build(section, poses)
-        before, after = list_functions(self.variant), list_functions(variant)
+        before, after = (one.errors.terms_of(LowRankGPTerm) for one in (self.variant, variant))
         changed = replace(self, section=section, variant=variant)
         if before and after and len(before[0].own.places) == len(after[0].own.places):
             return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
@@ -451,12 +447,7 @@ class DesignVariant:
         return total / count
 
 
-def list_functions(variant: Variant) -> list[LowRankGPTerm]:
-    """Return the terms of a variant that are functions of the pose."""
-    return [one for one in variant.errors.terms if isinstance(one, LowRankGPTerm)]
-
-
 def find_true_sizes(config: AuditConfig, variant: Variant) -> dict[str, float]:
     """Return root mean squares of the functions of a variant as they are expected, mm at the tool."""
-    there = [one.sort for one in list_functions(variant)]
+    there = [one.sort for one in variant.errors.terms_of(LowRankGPTerm)]
     return config.model_error.sizes(there)

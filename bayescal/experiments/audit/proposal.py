@@ -16,7 +16,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.density.calibration.model_error import LowRankGPTerm
 from bayescal.density.pose_kernels import DRIFT, KernelInput, PoseFunctions
 from bayescal.errors import InputError
-from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses, count_poses, list_functions
+from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses, count_poses
 from bayescal.experiments.audit.schema import PlannedPosesConfig
 from bayescal.experiments.shared.readings.knowledge import differentiate
 from bayescal.identifiability.reading_rows import Jacobians, typical_given, whiten
@@ -68,7 +68,7 @@ def _share_errors(plan: DesignVariant, poses: Sequence[Array]) -> tuple[list[Arr
     model, given = plan.variant.model, plan.variant.data.given
     read = [model.read(model.layout.nominal, one, typical_given(given, len(one))) for one in poses]
     columns, variance = [list[Array]() for _ in poses], np.zeros(len(model.channels))
-    for term in list_functions(plan.variant):
+    for term in plan.variant.errors.terms_of(LowRankGPTerm):
         size, own = plan.sizes[term.sort], term.own
         if term.sort == DRIFT:
             variance[own.places] += (size / own.levers) ** 2

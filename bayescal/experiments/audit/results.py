@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -29,6 +28,7 @@ from bayescal.experiments.audit.rows import (
     SweptRequirementRow,
     SystematicSizeRow,
 )
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.function_errors import choose_size_unit
 from bayescal.experiments.shared.readings.knowledge import name_data, name_place, plain
 from bayescal.experiments.shared.unmodelled_bias import tabulate_hidden
@@ -47,7 +47,7 @@ NAMED = 4
 TIMES = (0.0, 1.0, 3.0)  # the expected size of systematic errors
 
 
-def summarise(audit: AuditOutcome) -> dict[str, Any]:
+def summarise(audit: AuditOutcome) -> Summary:
     """Return what ``summary.json`` says of one variant; lengths and angles in the config's units, which it states."""
     inputs, analysis = audit.inputs, audit.analysis
     config, structure, names = inputs.config, analysis.structure, inputs.names
@@ -82,7 +82,7 @@ def summarise(audit: AuditOutcome) -> dict[str, Any]:
     }
 
 
-def _summarise_plan(inputs: DesignVariant) -> dict[str, Any]:
+def _summarise_plan(inputs: DesignVariant) -> Summary:
     """Return machine and plan; how large systematic errors are, and what is stated of unseen ones, and their unit."""
     config, section, model = inputs.config, inputs.section, inputs.variant.model
     said = {"workspace": "random poses", "file": config.poses.file or config.poses.configurations or ""}
@@ -106,7 +106,7 @@ def _summarise_plan(inputs: DesignVariant) -> dict[str, Any]:
     return {"machine": machine, "member": model.member, **seen, "plan": plan}
 
 
-def _describe_levers(audit: AuditOutcome) -> dict[str, Any]:
+def _describe_levers(audit: AuditOutcome) -> Summary:
     """Return which channels read far from where a ridge's tolerance turns them, and the longest lever."""
     inputs = audit.inputs
     levers = list(find_levers(inputs.posterior, inputs.expected, [one.direction for one in audit.ridges]))
@@ -160,12 +160,12 @@ def list_steps(audit: AuditOutcome) -> list[FreeingStepRow]:
     ]
 
 
-def summarise_row(row: TableRow, *names: str) -> dict[str, Any]:
+def summarise_row(row: TableRow, *names: str) -> Summary:
     """Return a row as ``summary.json`` has it, without the columns whose values are its keys there."""
     return {name: value for name, value in plain(asdict(row)).items() if name not in names}
 
 
-def _summarise_reduced(audit: AuditOutcome) -> dict[str, Any] | None:
+def _summarise_reduced(audit: AuditOutcome) -> Summary | None:
     """Return the reduced set as a whole; None where it is empty."""
     names, free, reduced = audit.inputs.names, audit.analysis.selection.free, audit.analysis.reduced
     if not free:
@@ -202,12 +202,12 @@ def explain(audit: AuditOutcome, k: int) -> str:
 # --- directions --------------------------------------------------------------------------------------------------
 
 
-def _summarise_direction(audit: AuditOutcome, direction: Direction, ridge: Ridge | None) -> dict[str, Any]:
+def _summarise_direction(audit: AuditOutcome, direction: Direction, ridge: Ridge | None) -> Summary:
     inputs, units = audit.inputs, audit.inputs.units
     used = [int(i) for i in np.argsort(-np.abs(direction.vector)) if direction.vector[i]]
     factors = {i: units.factor(inputs.parameters.units[i]) for i in used}
     names = {i: inputs.names[i] for i in used}
-    result: dict[str, Any] = {
+    result: Summary = {
         "kind": direction.kind,
         "contraction": direction.contraction,
         "nats": direction.nats,
@@ -234,7 +234,7 @@ def _summarise_direction(audit: AuditOutcome, direction: Direction, ridge: Ridge
     }
 
 
-def _find_help(audit: AuditOutcome, direction: Direction) -> dict[str, Any] | None:
+def _find_help(audit: AuditOutcome, direction: Direction) -> Summary | None:
     """Return the what-if within the actuators' reach under which a direction contracts most, if one helps."""
     if direction.kind != "practical":
         return None
@@ -290,7 +290,7 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _summarise_outcome(audit: AuditOutcome, outcome: ChangeEffect) -> dict[str, Any]:
+def _summarise_outcome(audit: AuditOutcome, outcome: ChangeEffect) -> Summary:
     weak, names = [one.direction for one in audit.ridges if one.direction.kind == "practical"], audit.inputs.names
     along = outcome.contraction_along(np.reshape([one.vector for one in weak], (-1, len(names))).T.copy())
     information = outcome.information
@@ -317,7 +317,7 @@ def _summarise_outcome(audit: AuditOutcome, outcome: ChangeEffect) -> dict[str, 
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def tabulate(summary: dict[str, Any], audit: AuditOutcome) -> dict[str, pd.DataFrame]:
+def tabulate(summary: Summary, audit: AuditOutcome) -> dict[str, pd.DataFrame]:
     """Return the tables of an audit by name."""
     scenarios = [
         AuditScenarioRow(scenario=one["name"], ridge=name, contraction=np.nan if value is None else value)
@@ -350,7 +350,7 @@ def tabulate(summary: dict[str, Any], audit: AuditOutcome) -> dict[str, pd.DataF
     return tables
 
 
-def tabulate_help(summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+def tabulate_help(summary: Summary) -> dict[str, pd.DataFrame]:
     """Return combinations that are not determined, and changed plans, from what a summary says of them."""
     combinations = [
         AuditCombinationRow(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -25,7 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.priors import INDEPENDENT
-from bayescal.density.schema import ALONE, FixedConfig, ModelErrorConfig, PriorConfig, TermName
+from bayescal.density.schema import ALONE, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,
@@ -47,7 +47,7 @@ type Count = Annotated[int, Field(ge=1, le=10_000)]
 # --- what measures, and where --------------------------------------------------------------------------------------
 
 
-def _tag_sensor(section: Any) -> str:
+def _tag_sensor(section: object) -> str:
     if isinstance(section, ChannelConfig) or (isinstance(section, dict) and "kind" not in section):
         return f"{MEASURED}channel"
     kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
@@ -87,7 +87,7 @@ class PlannedPosesConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_file(cls, value: Any) -> Any:
+    def _take_file(cls, value: object) -> object:
         return (
             {"sampling": "file", **value}
             if isinstance(value, dict) and {"file", "configurations"} & set(value)
@@ -335,7 +335,7 @@ class AuditConfig(ExperimentConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_others(cls, content: Any) -> Any:
+    def _take_others(cls, content: object) -> object:
         """Sizes are those that a study found."""
         if not isinstance(content, dict) or content.get("data") is None:
             return content
@@ -346,7 +346,7 @@ class AuditConfig(ExperimentConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_actuators(cls, content: Any) -> Any:
+    def _take_actuators(cls, content: object) -> object:
         """Noise of actuators, as studies of a mechanism state it, is that of its sensors, which all variants have."""
         if not isinstance(content, dict) or not isinstance(noise := content.get("noise"), dict):
             return content
@@ -384,7 +384,7 @@ class AuditConfig(ExperimentConfig):
             for field in ("machine", "sensors", "parameters"):
                 if not getattr(self, field):
                     raise ValueError(f"found no {field}, expected it, or [data]")
-            if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
+            if all(prior.prior == "fixed" for prior in self.parameters.values()):
                 raise ValueError("found no tolerance, expected a normal or uniform prior")
             deforms = self._states("deformation") or any(one.deformation != "none" for one in self.variants)
             if deforms and all(one.model is None for one in self.variants):
@@ -413,7 +413,7 @@ class AuditConfig(ExperimentConfig):
                 raise ValueError(f"scenario {change.name!r}: sensors: found with [data], expected none")
 
 
-def _add_actuators(section: Any) -> Any:
+def _add_actuators(section: object) -> object:
     """Return a variant or a change whose sensors, where it states any, have the actuators among them."""
     if not isinstance(section, dict) or not isinstance(sensors := section.get("sensors"), list):
         return section

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import islice
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ from bayescal.experiments.next_pose.rows import (
     PoseHistoryRow,
     RequirementForecastRow,
 )
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.identifiability.reading_rows import (
     Jacobians,
     differentiate_poses,
@@ -178,7 +178,7 @@ def _summarise(
     of_best: float,
     first: NextPoseStep,
     standings: dict[int, RequirementSummary],
-) -> dict[str, Any]:
+) -> Summary:
     config, belief, wanted = inputs.config, state.belief, inputs.config.probability
     summary = {
         "name": config.name,

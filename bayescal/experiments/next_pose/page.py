@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from matplotlib import figure as mpl
@@ -17,7 +16,7 @@ from bayescal.experiments.next_pose.rows import (
     NextPoseRow,
     RequirementForecastRow,
 )
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.headline import say_data_first, say_probability, write_headline
 from bayescal.experiments.shared.slips import state_slip
 from bayescal.files.rows import check_tables
@@ -73,7 +72,7 @@ def build_page(results: Results) -> Page:
 # --- in words ----------------------------------------------------------------------------------------------------
 
 
-def state_headline(summary: dict[str, Any]) -> str:
+def state_headline(summary: Summary) -> str:
     """Return whether to stop, and how probable what is wanted is."""
     n, wanted = summary["n_poses"], format_percent(summary["stated_probability"])
     if "suspected_data_error" in summary:
@@ -160,7 +159,7 @@ def _state_gain(results: Results) -> list[Statement]:
     ]
 
 
-def _state_needed(summary: dict[str, Any]) -> Statement:
+def _state_needed(summary: Summary) -> Statement:
     standing, wanted = summary["requirements"], summary["stated_probability"]
     needed, lead, value = standing["n_poses_needed"], "Poses needed", standing["probability"]
     if summary["decision"] == "stop":
@@ -173,7 +172,7 @@ def _state_needed(summary: dict[str, Any]) -> Statement:
     return Statement(text, "warning", lead, value=n)
 
 
-def _state_best(summary: dict[str, Any]) -> Statement:
+def _state_best(summary: Summary) -> Statement:
     best, wanted = summary["requirements"]["probability_parameters_known"], summary["stated_probability"]
     repeated, lead = summary["requirements"]["probability_all_candidates"], "Reachable"
     level: Level = "bad" if summary["decision"] == "infeasible" else "warning"
@@ -188,7 +187,7 @@ def _state_best(summary: dict[str, Any]) -> Statement:
     return Statement(text, level, lead, value=best, limit=wanted, action=action)
 
 
-def _state_soundness(summary: dict[str, Any]) -> Statement:
+def _state_soundness(summary: Summary) -> Statement:
     k, lead = summary["pareto_k"], "Numerical checks"
     if summary["method"] == "sampled":
         text = f"Pareto k {format_fixed(k, 2)}: MCMC draws used."

@@ -77,7 +77,7 @@ class Cluster(Engine):
     own: bool  # whether scheduler and workers belong to this run
 
     def compute[S, T](
-        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+        self, function: Callable[[S, T], object], shared: S, tasks: Mapping[str, T]
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record or failure as they come; see `Engine.compute`.
 
@@ -152,7 +152,7 @@ class Cluster(Engine):
             )
         return now
 
-    def _send[S, T](self, function: Callable[[S, T], Any], shared: S) -> Any:
+    def _send[S, T](self, function: Callable[[S, T], object], shared: S) -> object:
         """Send what all tasks of a stage need to every worker that is there; return what stands for it."""
         content = cloudpickle.dumps((function, shared))
         token = hashlib.sha256(content).hexdigest()
@@ -273,7 +273,7 @@ _ONE_AT_A_TIME = threading.Lock()
 """Of a worker with several threads: the limit on BLAS holds for a process, and scratch memory is one thread's."""
 _limited = 0
 """How many modules were there when the threads of BLAS were limited."""
-_unpacked: dict[str, tuple[Callable[[Any, Any], Any], Any]] = {}
+_unpacked: dict[str, tuple[Callable[[object, object], object], object]] = {}
 
 
 def _keep(parcel: Parcel) -> Parcel:
@@ -300,7 +300,7 @@ def _work(batch: bytes, parcel: Parcel) -> bytes:
         return pickle.dumps((ANSWER, time.thread_time() - began, outcomes), protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def _run_limited[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
+def _run_limited[S, T](function: Callable[[S, T], object], shared: S, task: T) -> Record | Failure:
     """Return a task's record or failure; to look for libraries to limit takes longer than to send a task."""
     global _limited
     if len(sys.modules) == _limited:  # libraries come with modules

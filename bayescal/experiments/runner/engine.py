@@ -32,7 +32,7 @@ class Engine(ABC):
 
     @abstractmethod
     def compute[S, T](
-        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+        self, function: Callable[[S, T], object], shared: S, tasks: Mapping[str, T]
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record, or in words why it failed, as they end, in any order.
 
@@ -51,7 +51,7 @@ class Processes(Engine):
     workers: int = 1
 
     def compute[S, T](
-        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+        self, function: Callable[[S, T], object], shared: S, tasks: Mapping[str, T]
     ) -> Iterator[tuple[str, Record | Failure]]:
         """Yield each task's name with its record or failure; see `Engine.compute`."""
         if self.workers == 1 or len(tasks) < 2:
@@ -148,18 +148,18 @@ def _close_quietly(calls: Generator[Any]) -> Generator[Any]:
             calls.close()
 
 
-def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: Any) -> tuple[str, R]:
+def _call_in_worker[R](parent: int, name: str, function: Callable[..., R], *arguments: object) -> tuple[str, R]:
     follow_parent(parent)
     return name, function(*arguments)
 
 
-def run_guarded[S, T](function: Callable[[S, T], Any], shared: S, task: T, threads: int = 1) -> Record | Failure:
+def run_guarded[S, T](function: Callable[[S, T], object], shared: S, task: T, threads: int = 1) -> Record | Failure:
     """Return a task's record, or in words why it failed; BLAS keeps to one thread, batches take so many."""
     with threadpool_limits(1), use_threads(threads):
         return run_quietly(function, shared, task)
 
 
-def run_quietly[S, T](function: Callable[[S, T], Any], shared: S, task: T) -> Record | Failure:
+def run_quietly[S, T](function: Callable[[S, T], object], shared: S, task: T) -> Record | Failure:
     """Return a task's record, or in words why it failed, where BLAS keeps to one thread anyway."""
     try:
         # whatever is not finite is looked for where it matters; numpy's warnings would only litter the terminal

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bayescal.experiments.runner.parallel import Run
-    from bayescal.experiments.runner.results import Results
+    from bayescal.experiments.runner.results import Results, Summary
     from bayescal.report.blocks import Page
 
 
@@ -176,7 +176,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
                     )
 
 
-def _list_plain(summary: Mapping[str, Any], before: str = "") -> dict[str, str]:
+def _list_plain(summary: Summary, before: str = "") -> dict[str, str]:
     """Return the numbers and marks of a summary, those of its sections too, as texts; lists are left out."""
     found: dict[str, str] = {}
     for key, value in summary.items():

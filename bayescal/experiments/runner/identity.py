@@ -39,7 +39,7 @@ def identify(
     return {"config": _without_titles(dump_config(config)), "files": files, **foreign}
 
 
-def _without_titles(value: Any) -> Any:
+def _without_titles(value: object) -> object:
     if isinstance(value, dict):
         return {key: _without_titles(one) for key, one in value.items() if key != COSMETIC}
     return [_without_titles(one) for one in value] if isinstance(value, list) else value

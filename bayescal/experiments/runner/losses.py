@@ -8,14 +8,14 @@ under ``lost``, the page, the terminal and the exit code.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from bayescal.errors import BayescalError, InputError
+from bayescal.experiments.runner.results import Summary
 
 LOST_PARTS = "lost"
 """Key of the summary that lists what could not be computed; absent where everything was."""
@@ -93,7 +93,7 @@ def locate(error: Exception) -> str:
     return f"{Path(where[-1].filename).name}, line {where[-1].lineno}"
 
 
-def list_losses(summary: Mapping[str, Any]) -> list[Loss]:
+def list_losses(summary: Summary) -> list[Loss]:
     """Return what a summary lists as lost."""
     found = summary.get(LOST_PARTS, [])
     return [Loss(str(one.get("what")), str(one.get("why"))) for one in found if isinstance(one, dict)]

@@ -50,7 +50,7 @@ class Run:
         function: Callable[[S, T], R],
         shared: S,
         tasks: Mapping[str, T],
-        returns: Iterable[Any] = (),
+        returns: Iterable[type] = (),
         spare: bool = False,
     ) -> dict[str, R]:
         """Return what a function makes of every task, by the tasks' names and in their order.
@@ -82,7 +82,7 @@ class Run:
         function: Callable[[S, T], R],
         shared: S,
         tasks: Mapping[str, T],
-        returns: Iterable[Any] = (),
+        returns: Iterable[type] = (),
         spare: bool = False,
     ) -> Callable[[], dict[str, R]]:
         """Begin what `map` does and return what waits for it: this process may do something else meanwhile.
@@ -121,7 +121,7 @@ class Run:
         function: Callable[[S, T], R],
         shared: S,
         tasks: Mapping[str, T],
-        returns: Iterable[Any] = (),
+        returns: Iterable[type] = (),
     ) -> Iterator[tuple[str, R | Failed]]:
         """Yield what tasks give, or why they failed: kept ones first, others as they end; none of it is held here.
 
@@ -135,7 +135,7 @@ class Run:
         yield from self._follow(stage, names, len(tasks) - len(missing), outcomes, classes, watch)
 
     def _compute[S, T](
-        self, function: Callable[[S, T], Any], shared: S, tasks: Mapping[str, T]
+        self, function: Callable[[S, T], object], shared: S, tasks: Mapping[str, T]
     ) -> tuple[Iterable[Any], TaskWatch | None]:
         """Return what tasks end with, as they end, and what follows them meanwhile."""
         watch = self.progress.watch(tuple(tasks))
@@ -143,7 +143,7 @@ class Run:
             return self.engine.compute(function, shared, tasks), None
         return self.engine.compute(run_marked, (function, shared), watch.mark(tasks)), watch
 
-    def _read_kept(self, names: Mapping[str, str], classes: tuple[Any, ...]) -> Iterator[tuple[str, Any]]:
+    def _read_kept(self, names: Mapping[str, str], classes: tuple[type, ...]) -> Iterator[tuple[str, Any]]:
         """Yield the results of tasks that were finished before."""
         for name, file in names.items():
             kept = None if self.store is None else self.store.load_task(file)
@@ -161,7 +161,7 @@ class Run:
         names: Mapping[str, str],
         done: int,
         outcomes: Iterable[Any],
-        classes: tuple[Any, ...],
+        classes: tuple[type, ...],
         watch: TaskWatch | None,
     ) -> Iterator[tuple[str, Any]]:
         """Yield what tasks end with, each kept before."""
@@ -183,7 +183,7 @@ class Run:
                 progress.done += 1
                 yield name, result
 
-    def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[Any] = ()) -> R:
+    def once[S, R](self, stage: str, function: Callable[[S], R], shared: S, returns: Iterable[type] = ()) -> R:
         """Return what a function makes of its inputs, as one task."""
         return self.map(stage, _call, (function, shared), {"all": None}, returns)["all"]
 

@@ -29,7 +29,7 @@ LOSSES = "losses"
 type Record = dict[str, Array]
 
 
-def encode(value: Any) -> Record:
+def encode(value: object) -> Record:
     """Return a value as named arrays.
 
     It is made of None, numbers, texts, numpy arrays, tables with a plain index, dictionaries, lists, tuples and
@@ -53,7 +53,7 @@ def read_losses(record: Mapping[str, Array]) -> list[Loss]:
     return list_losses(json.loads(bytes(record[LOSSES].astype(np.uint8))))
 
 
-def _encode(value: Any, arrays: Record) -> Any:
+def _encode(value: object, arrays: Record) -> object:
     import pandas as pd  # a third of a second, for those who have tables
 
     if value is None or isinstance(value, bool | str) or type(value) in (int, float):
@@ -86,7 +86,7 @@ def _name(kind: type) -> str:
     return f"{kind.__module__}:{kind.__qualname__}"
 
 
-def _encode_column(column: pd.Series, arrays: Record) -> Any:
+def _encode_column(column: pd.Series, arrays: Record) -> object:
     import pandas as pd  # a third of a second, for those who have tables
 
     if isinstance(column.dtype, np.dtype) and column.dtype != object:
@@ -130,7 +130,7 @@ def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -
     raise ValueError(f"found {tree[TAG]!r} in a record")
 
 
-def find_dataclasses(classes: Iterable[Any]) -> set[type]:
+def find_dataclasses(classes: Iterable[type]) -> set[type]:
     """Return the dataclasses among types, in their arguments and in their fields."""
     found: set[type] = set()
     waiting = list(classes)

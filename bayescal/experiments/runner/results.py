@@ -30,7 +30,7 @@ TABLES, EMPTY_TABLES = "tables", "empty_tables"
 LENGTHS = "table_rows"
 """Key of the provenance for the number of rows of every table."""
 TABLE_NAME = re.compile(r"([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+\.csv")
-KINDS: dict[str, Callable[[str], Any]] = {
+KINDS: dict[str, Callable[[str], object]] = {
     "number": lambda cell: float(cell) if cell else float("nan"),
     "integer": int,
     "flag": {"True": True, "False": False}.__getitem__,
@@ -43,6 +43,9 @@ type Writer = Callable[[Path], None]
 
 NUMBER = (int, float)
 
+type Summary = dict[str, Any]
+"""A summary, or a part of one: as JSON has it, keys by kind of experiment."""
+
 
 @dataclass(frozen=True, eq=False)
 class Results:
@@ -52,7 +55,7 @@ class Results:
     in the results directory, or what writes one to the path it is given.
     """
 
-    summary: dict[str, Any]
+    summary: Summary
     tables: dict[str, pd.DataFrame] = field(default_factory=dict)
     files: Mapping[str, str | Writer] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -122,7 +125,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def _make_json(value: Any) -> Any:
+def _make_json(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _make_json(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

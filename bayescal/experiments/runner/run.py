@@ -34,6 +34,7 @@ from bayescal.experiments.runner.results import (
     PROVENANCE_FILE,
     SUMMARY_FILE,
     Results,
+    Summary,
     check_results,
     list_written,
     read_results,
@@ -71,7 +72,7 @@ class RunOutcome:
     page: Page
 
     @property
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> Summary:
         """What ``summary.json`` holds."""
         return self.results.summary
 
@@ -274,12 +275,12 @@ def compute_experiment(config: ExperimentConfig, folder: Path, workers: int = 1)
         return _compute(admitted, Run(Processes(workers)))
 
 
-def _list_doubts(experiment: AnyExperiment, inputs: Any) -> list[str]:
+def _list_doubts(experiment: AnyExperiment, inputs: object) -> list[str]:
     """Return what is, and what may be, wrong with inputs that passed the gate."""
     return [*_ask(experiment.suspect, inputs), *_ask(partial(experiment.list_warnings, before_run=True), inputs)]
 
 
-def _ask(question: Callable[[Any], list[str]], inputs: Any) -> list[str]:
+def _ask(question: Callable[[object], list[str]], inputs: object) -> list[str]:
     """Return what is said of inputs that passed the gate; a question that fails on them says nothing."""
     try:
         with np.errstate(all="ignore"):
@@ -347,17 +348,17 @@ def _write_page(
     def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
         spared = {name: partial(_draw, f"figure {name!r}", call) for name, call in calls.items()}
         drawn = call_side_by_side(workers if many else 1, spared)
-        not_drawn.extend(one for one in drawn.values() if isinstance(one, Loss))
-        return {k: Picture(b"", failure=f"{one.say()}.") if isinstance(one, Loss) else one for k, one in drawn.items()}
+        not_drawn.extend(loss for _, loss in drawn.values() if loss is not None)
+        return {name: picture for name, (picture, _) in drawn.items()}
 
     write_page(page, folder, (show_provenance(results.provenance),), earlier, render)
     return page, [*lost, *not_drawn]
 
 
-def _draw(what: str, draw: Callable[[], Picture]) -> Picture | Loss:
+def _draw(what: str, draw: Callable[[], Picture]) -> tuple[Picture, Loss | None]:
     with note_losses() as losses:
         found = attempt(what, draw, None)
-    return losses[0] if found is None else found
+    return (Picture(b"", failure=f"{losses[0].say()}."), losses[0]) if found is None else (found, None)
 
 
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:

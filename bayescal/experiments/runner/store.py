@@ -224,7 +224,7 @@ def _exchange(one: Path, other: Path) -> None:
     aside.rename(one)
 
 
-def list_differences(old: Any, new: Any, where: str = "") -> list[str]:
+def list_differences(old: object, new: object, where: str = "") -> list[str]:
     """Return the differences of two JSON values, each as ``key: old -> new``."""
     if isinstance(old, dict) and isinstance(new, dict):
         keys = sorted(set(old) | set(new))

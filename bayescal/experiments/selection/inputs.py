@@ -15,7 +15,6 @@ from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
 from bayescal.experiments.selection.schema import (
     ActuatorTableConfig,
-    ContinuousChoiceConfig,
     OwnChoiceConfig,
     SelectionChoice,
     SelectionConfig,
@@ -91,7 +90,7 @@ class SelectionInputs:
         if isinstance(choice, OwnChoiceConfig):
             return self._make_method(choice.method, "selections.method", choice.options)
         options = choice.model_dump(exclude=set(SHARED))
-        if isinstance(choice, ContinuousChoiceConfig):
+        if choice.method == "continuous":
             start = self._make_method(choice.start, "selections.start", None)
             options["start"] = RandomSets(1) if type(start) is RandomSets else start
         return METHODS[choice.method](**options)

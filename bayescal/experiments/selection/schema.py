@@ -6,14 +6,14 @@ Tolerances and requirements are in the units of [units]; all other keys carry th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection, label_class
 from bayescal.config.load import OWN
 from bayescal.config.sections import ExperimentConfig, InputFile, Name, Names, Positive, Section, check_once
-from bayescal.density.schema import FixedConfig, PriorConfig
+from bayescal.density.schema import PriorConfig
 from bayescal.experiments.shared.readings.schema import ProvenanceConfig
 from bayescal.experiments.shared.schema import (
     ActuatorNoiseConfig,
@@ -179,7 +179,7 @@ class OwnChoiceConfig(ChoiceConfig, OwnSection):
 BUILT_IN = ("random", "detmax", "tabu", "exchange", "continuous")
 
 
-def _tag_choice(section: Any) -> str:
+def _tag_choice(section: object) -> str:
     method = section.get("method") if isinstance(section, dict) else getattr(section, "method", None)
     return method if method in BUILT_IN else OWN
 
@@ -256,7 +256,7 @@ class SelectionConfig(ExperimentConfig):
 
     @model_validator(mode="after")
     def _check_whole(self) -> Self:
-        if all(isinstance(prior, FixedConfig) for prior in self.parameters.values()):
+        if all(prior.prior == "fixed" for prior in self.parameters.values()):
             raise ValueError("found no tolerance, expected [parameters] with a normal or uniform prior")
         if self.workspace is None:
             for what, needed in (

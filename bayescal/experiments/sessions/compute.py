@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 
 from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs, find_motions
 from bayescal.experiments.sessions.rows import (
     ChannelMotionRow,
@@ -72,7 +72,7 @@ def compute_sessions(inputs: SessionsInputs, run: Run) -> Results:
     ]
     tables["models"] = DriftModelRow.collect(models)
     drift = fits[ALL].log_evidence - fits[NONE].log_evidence
-    summary: dict[str, Any] = {
+    summary: Summary = {
         "name": config.name,
         "title": config.title,
         "study": config.study,

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm
-from bayescal.density.calibration.terms import ErrorTerm
+from bayescal.density.calibration.model_error import GPTerm
 from bayescal.density.pose_kernels import KernelInput
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions import DriftModel, Part, ReadingRows, SessionModel, ThermalExpansion, walk_loadings
@@ -20,7 +19,6 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, check_measures, choose_variant, measure_variants
-from bayescal.experiments.shared.readings.data_schema import ReadingsTable
 from bayescal.experiments.shared.slip_search import find_slip
 from bayescal.experiments.shared.slips import tell_denial
 from bayescal.files.csv_tables import read_table
@@ -80,7 +78,7 @@ def read_sessions(config: SessionsConfig, folder: Path) -> SessionsInputs:
     parts = [part for k, it in enumerate(measured) for part in _split(config, k, it, warmth[k])]
     drift = _build_drift(config, first)
     expansions = _build_expansions(config.thermal, first.posterior.likelihood.model.layout)
-    functions = [one for one in first.posterior.errors.terms if isinstance(one, GPTerm)]
+    functions = first.posterior.errors.terms_of(GPTerm)
     lasting = tuple(config.drift.model == "random_walk" and one.sort != DRIFT for one in functions)
     model = SessionModel(tuple(parts), *describe_free(first, config.study), drift, expansions, lasting)
     if config.drift.model == "random_walk":
@@ -257,7 +255,7 @@ def measure_sessions(
             errors = measured.posterior.errors
             if errors.outliers.expected:
                 raise InputError(f"{path}: found a robust variant, expected another")
-            if not all(isinstance(one, GPTerm) for one in errors.common):
+            if len(errors.terms_of(GPTerm)) < len(errors.common):
                 raise InputError(f"{path}: found functions of [error_terms], expected none")
             if found and errors.names != found[0].posterior.errors.names:
                 names, expected = (", ".join(one.names) for one in (errors, found[0].posterior.errors))
@@ -268,20 +266,14 @@ def measure_sessions(
 
 def _join_functions(measured: list[MeasuredReadings]) -> list[MeasuredReadings]:
     """Return sessions whose errors that are functions are of the same few columns in all, which suit all their rows."""
-    every = [[one for one in it.posterior.errors.terms if isinstance(one, GPTerm)] for it in measured]
+    every = [it.posterior.errors.terms_of(GPTerm) for it in measured]
     if not every[0]:
         return measured
     levers, n = every[0][0].own.levers, len(measured[0].internal)
     over = reduce(KernelInput.join, [some[0].own.at(np.flatnonzero(some[0].own.used)) for some in every])
-
-    def join(one: ErrorTerm) -> ErrorTerm:
-        if not isinstance(one, GPTerm):
-            return one
-        return LowRankGPTerm(one.sort, replace(one.own, levers=levers), one.scale, one.floor, n, over)
-
     found = []
     for it in measured:
-        errors = replace(it.posterior.errors, terms=tuple(join(one) for one in it.posterior.errors.terms))
+        errors = it.posterior.errors.change(GPTerm, lambda one: one.thin(n, replace(one.own, levers=levers), over))
         found.append(replace(it, posterior=replace(it.posterior, errors=errors)))
     return found
 
@@ -299,7 +291,7 @@ def _place_tables(study: Any, session: SessionConfig, folder: Path, path: Path) 
         moved: dict[str, Any] = {
             key: os.path.relpath(str(folder / name), str(path.parent)) for key, name in named.items()
         }
-        if isinstance(own, ReadingsTable):
+        if "verification_poses" in type(own).model_fields:
             moved["verification_poses"] = []
         tables.append(own.model_copy(update=moved))
     return study.model_copy(update={"data": tables})
@@ -313,9 +305,7 @@ def check_same_machine(model: SessionModel, sessions: Sequence[MeasuredReadings]
     first = sessions[0].with_pose_guesses
     if first.likelihood.model.legs is None or not first.likelihood.model.reads_pose:
         return
-    theta = first.theta(first.least_squares_start()[None])[
-        0
-    ]  # the machine that explains the first session best by itself
+    (theta,) = first.theta(first.least_squares_start()[None])  # the machine that explains the first best by itself
     off = np.stack([_find_offsets(one, theta) for one in sessions])
     elapsed = np.sqrt(np.sum(model.drift.loadings**2, axis=1))  # √month since the first
     limit = MAX_DRIFT_SCALES * float(model.drift.scale.max()) * np.maximum(elapsed, 1.0) + WARM

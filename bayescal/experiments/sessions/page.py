@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib import figure as mpl
 
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.sessions.rows import (
     ROWS,
     ChannelMotionRow,
@@ -186,7 +185,7 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def _name_shift(summary: dict[str, Any], unit: str) -> str:
+def _name_shift(summary: Summary, unit: str) -> str:
     """Return the motion from which on one counts, in a unit."""
     limit = summary["motion_limit_um"] if unit == "µm" else summary.get("motion_limit_arcsec", 0.0)
     return f"{format_plain(limit)} {unit}"
@@ -243,14 +242,14 @@ def _plot_motions(results: Results, walk: bool) -> Block:
     what, motions = _read_motions(results)
     if what == "channel":
         caption = "Reading changes by session, 90 % interval."
-        return Figure("channels", caption, partial(draw_motions, motions, walk))
+        return Figure("channels", caption, partial(draw_motions, motions, walk, False))
     caption = "Leg length changes by session, 90 % interval." if walk else "Leg lengths less the mean, 90 % interval."
-    return Figure("legs", caption, partial(draw_motions, motions, walk))
+    return Figure("legs", caption, partial(draw_motions, motions, walk, True))
 
 
-def draw_motions(motions: Sequence[MotionRow], walk: bool) -> mpl.Figure:
+def draw_motions(motions: Sequence[MotionRow], walk: bool, by_leg: bool) -> mpl.Figure:
     """Return the motion of legs, or of channels, over the sessions, a panel for each."""
-    names, by_leg = list(dict.fromkeys(map(_name, motions))), isinstance(motions[0], LegMotionRow)
+    names = list(dict.fromkeys(map(_name, motions)))
     figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(names) - 1) // 3 + 1)))
     panels = figure.subplots(-(-len(names) // 3), min(3, len(names)), sharex=True, sharey=by_leg, squeeze=False)
     for k, (axes, name) in enumerate(zip(panels.ravel(), names, strict=False)):

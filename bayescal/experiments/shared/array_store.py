@@ -50,7 +50,7 @@ def _list_numbers(tree: xr.DataTree) -> Iterator[tuple[str, np.ndarray]]:
                 yield _locate(node, name), variable.values
 
 
-def _locate(node: xr.DataTree, name: Any) -> str:
+def _locate(node: xr.DataTree, name: object) -> str:
     return f"{node.path.rstrip('/')}/{name}"
 
 

@@ -41,7 +41,7 @@ from bayescal.calibrated.drawn_machines import AlignedMachine, align_over
 from bayescal.calibrated.machine import MATRIX, MODEL, NOISE, CalibratedMachine
 from bayescal.calibrated.predict import check_determined
 from bayescal.errors import InputError
-from bayescal.experiments.runner.results import PROVENANCE_FILE, SUMMARY_FILE
+from bayescal.experiments.runner.results import PROVENANCE_FILE, SUMMARY_FILE, Summary
 from bayescal.experiments.shared.headline import say_accuracy, write_headline
 from bayescal.experiments.shared.soundness import span_shares
 from bayescal.files.atomic import read_json
@@ -100,7 +100,7 @@ class Certificate:
     cube_mm: float  # zero where figures of the standards have no meaning
     poses: PoseFigures | None  # ISO 9283 of each machine of the posterior, (S, 5)
     axes: tuple[AxisFigures, ...]  # ISO 230-2 along the tool's lengths, of each machine, (S,)
-    summary: dict[str, Any]  # of the results, as is the provenance; empty for a machine that was exported
+    summary: Summary  # of the results, as is the provenance; empty for a machine that was exported
     provenance: dict[str, Any]
     region: Region | None = None  # where; None for all over the actuators' range
     beyond: float = 0.0  # share of its poses outside of the box of those that calibrated the machine
@@ -159,7 +159,7 @@ class Certificate:
         """Return rms and largest of values (P, m) over the workspace, in the units in which they are stated."""
         return _rms(values) * self.scale, np.abs(values).max(axis=0) * self.scale
 
-    def list_figures(self) -> dict[str, Any]:
+    def list_figures(self) -> Summary:
         """Return what is stated as numbers for files: µm and µrad, root mean squares over the workspace."""
 
         def name(values: Array) -> dict[str, float]:
@@ -358,7 +358,7 @@ def _state_verdict(found: Certificate) -> list[Statement]:
     return said
 
 
-def _find_held_back(found: Certificate) -> dict[str, Any]:
+def _find_held_back(found: Certificate) -> Summary:
     fit = found.summary.get("variants", {}).get(found.calibrated.source.variant, {})
     held_back = fit.get("verification")
     return held_back if isinstance(held_back, dict) else {}

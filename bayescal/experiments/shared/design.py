@@ -13,7 +13,6 @@ from bayescal.experiments.shared.schema import (
     DeformationConfig,
     ModelConfig,
     OwnSensorConfig,
-    PoseSensorConfig,
     SensorConfig,
     WorkspaceConfig,
 )
@@ -80,7 +79,7 @@ def build_sensor(name: str, config: SensorConfig, folder: Path) -> Sensor:
     """Return a sensor of the design, whose file stands in a folder."""
     if isinstance(config, OwnSensorConfig):
         return _build_own_sensor(name, config, folder)
-    if isinstance(config, PoseSensorConfig):
+    if config.kind == "pose":
         position, angle = config.position_um, config.arcseconds
         return PoseSensor(
             None if position is None else MICROMETRE * position,

@@ -13,12 +13,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Self, cast
 
 import numpy as np
 
 from bayescal.config.classes import label_class
 from bayescal.experiments.runner.losses import attempt
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.array_store import pack_tree
 from bayescal.experiments.shared.posterior_files import choose_draws
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
@@ -208,7 +209,7 @@ class Estimate:
             )
         return problems
 
-    def describe_evidence(self) -> dict[str, Any]:
+    def describe_evidence(self) -> Summary:
         """Return the evidence as columns of a table."""
         row = {
             "log_evidence": self.log_evidence,
@@ -226,7 +227,7 @@ class Estimate:
             }
         return row | {"efficiency": self.importance.efficiency, "pareto_k": self.importance.pareto_k}
 
-    def describe_chains(self) -> dict[str, Any]:
+    def describe_chains(self) -> Summary:
         """Return how the chains went as columns of a table."""
         problems = self.list_problems()
         return {

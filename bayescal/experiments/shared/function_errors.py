@@ -78,7 +78,7 @@ def tabulate_functions(
     """
     import pandas as pd  # a third of a second, for those who have tables
 
-    if not any(isinstance(term, FunctionErrors) for term in posterior.errors.terms):
+    if not posterior.errors.terms_of(FunctionErrors):
         return {}
     draws, data = posterior.likelihood.draw_common(*posterior.at(y), rng), posterior.likelihood.data
     grid, rows, curves = _grid(data), list[ErrorFunctionRow](), list[pd.DataFrame]()
@@ -177,8 +177,8 @@ def tabulate_model_error(
     """
     from bayescal.inference.causes import weigh_causes  # with all of inference, for those who sample
 
-    terms = posterior.errors.of(posterior.zeta(y))
-    tau = [one.natural(zeta)[:, 0] ** 2 + one.floor**2 for one, zeta in terms if isinstance(one, RandomTerm)]
+    zeta = posterior.zeta(y)
+    tau = [one.square(own) for one, own in posterior.errors.parts_of(RandomTerm, zeta)]
     factor, unit = choose_size_unit(posterior.likelihood.model)
     sizes: dict[str, Array] = {TERMS[0]: np.sqrt(np.mean(tau, axis=0))} if tau else {}
     centre = _find_centre(data, ~held, posterior.errors, draws)
@@ -188,7 +188,7 @@ def tabulate_model_error(
         square, n_numbers = sum(one.square[name] for one in found), len(names) * int((~held).sum())
         sizes[name] = np.sqrt(square / n_numbers)
     quantiles = {name: factor * np.quantile(one, [0.5, *INTERVAL]) for name, one in sizes.items()}
-    tails = {one.sort: measure_tail(one.amplitude(zeta)) for one, zeta in terms if isinstance(one, GPTerm)}
+    tails = {one.sort: measure_tail(one.amplitude(own)) for one, own in posterior.errors.parts_of(GPTerm, zeta)}
     middle, low, high = np.array(list(quantiles.values())).reshape(-1, 3).T
     tail = [tails.get(name, float("nan")) for name in quantiles]
     tables = {

@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.report.blocks import Level, Statement
 from bayescal.report.numbers import format_odds, format_percent, name_some
 
@@ -104,23 +104,23 @@ def choose_candidate(candidates: Sequence[Candidate]) -> Candidate:
     return groups[0][0] if groups else max(candidates, key=lambda one: rank_evidence(one.log_evidence))
 
 
-def read_rows(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def read_rows(summary: Summary) -> dict[str, Summary]:
     """Return what a study's summary says of each variant, NaN for an estimate that has no number."""
     return {name: _fill_row(row) if isinstance(row, dict) else row for name, row in summary["variants"].items()}
 
 
-def _fill_row(row: Mapping[str, Any]) -> dict[str, Any]:
+def _fill_row(row: Summary) -> Summary:
     return {key: math.nan if value is None and key in ESTIMATES else value for key, value in row.items()}
 
 
-def list_candidates(summary: Mapping[str, Any]) -> list[Candidate]:
+def list_candidates(summary: Summary) -> list[Candidate]:
     """Return the variants of the most data of a study's summary, of which one is to be used, in the study's order."""
     rows = read_rows(summary)
     ranking = max(summary["rankings"], key=lambda names: (rows[names[0]].get("n_equations", 0), len(names)))
     return [describe_candidate(name, row) for name, row in rows.items() if name in ranking]
 
 
-def describe_candidate(name: str, row: Mapping[str, Any]) -> Candidate:
+def describe_candidate(name: str, row: Summary) -> Candidate:
     """Return a variant of a row of the summary."""
     title, evidence = str(row["title"]), (float(row["log_evidence"]), float(row["log_evidence_se"]))
     errors = (row.get(f"{use}_position_error_max_mm") for use in ("verification", "calibration"))
@@ -133,7 +133,7 @@ def label_title(title: str) -> str:
     return f"“{title}”" if " " in title else title
 
 
-def choose_best(summary: Mapping[str, Any]) -> str:
+def choose_best(summary: Summary) -> str:
     """Return the name of the variant to use."""
     return choose_candidate(list_candidates(summary)).name
 

@@ -149,11 +149,6 @@ def state_ridges(tables: Mapping[str, pd.DataFrame], variant: str) -> list[State
     ]
 
 
-def _say_gain(gain: float) -> str:
-    """Return by what part the error falls where its mean square falls by a part ``gain``."""
-    return format_percent(1.0 - math.sqrt(max(0.0, 1.0 - gain)), 1)
-
-
 def _read_candidates(tables: Mapping[str, pd.DataFrame], variant: str) -> list[CandidatePoseRow]:
     """Return a variant's candidate poses whose variance reduction is known, with its coordinates alone."""
     found = [one for one in CandidatePoseRow.read(tables["next"]) if one.variant == variant] if "next" in tables else []
@@ -192,7 +187,7 @@ def show_next(tables: Mapping[str, pd.DataFrame], variant: str, asked: ChosenUni
         [
             SENSORS[row.sensors],
             *(format_place(name, row.others[name], asked) for name in names),
-            _say_gain(row.variance_reduction),
+            format_percent(1.0 - math.sqrt(max(0.0, 1.0 - row.variance_reduction)), 1),  # of the error itself
         ]
         for row in mine
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.terms import CorrelatedNoise
 from bayescal.errors import InputError
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.numerics.geometry import Array
@@ -40,7 +40,7 @@ class MeasuredReadings:
     high: Array
     internal: np.ndarray  # (K,): which channels the machine keeps after its calibration
     n_held_back: int = 0  # how many poses were measured besides, kept for verification
-    described: Mapping[str, Any] = field(default_factory=dict)  # what was measured, in the study's own words
+    described: Summary = field(default_factory=dict)  # what was measured, in the study's own words
     aligned: bool = False  # whether its accuracy is what remains after base and tool are aligned
     denied: tuple[str, ...] = ()  # kinds of slips that its data are not, as the study's config says
 
@@ -65,13 +65,12 @@ class MeasuredReadings:
         What K from targets lacks is another error in another measurement, or at poses that nobody measured.
         """
         errors, likelihood = self.posterior.errors, self.posterior.likelihood
-        known, data = [one for one in errors.terms if isinstance(one, CorrelatedNoise)], likelihood.data
+        known, data = errors.known, likelihood.data
         if not known:
             return self
         square = sum((one.sign * np.sum(one.act(data) ** 2, axis=-1) for one in known), start=np.zeros_like(data.sd))
         noisy = replace(likelihood, data=replace(data, sd=np.sqrt(data.sd**2 + np.maximum(square, 0.0))))
-        others = replace(errors, terms=tuple(one for one in errors.terms if not isinstance(one, CorrelatedNoise)))
-        return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=others))
+        return replace(self, posterior=replace(self.posterior, likelihood=noisy, errors=errors.without(known)))
 
     def pick(self, rows: np.ndarray) -> MeasuredReadings:
         """Return the variant after some of its poses."""

@@ -90,7 +90,8 @@ def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedIn
     noises = [one for one in weighed if one.cause.fault == NOISE and one.factor > 1.0]
     noises = [one for one in noises if one.gain + one.cost > -RIVAL_WITHIN_NAT]
     base = search.as_is
-    drawn = np.array([isinstance(one, RandomTerm) for one in search.posterior.errors.owners], dtype=bool)
+    random = search.posterior.errors.terms_of(RandomTerm)
+    drawn = np.array([one in random for one in search.posterior.errors.owners], dtype=bool)
     if not noises or base is None or not drawn.any():
         return None
     weigh = base.weigher.weigh

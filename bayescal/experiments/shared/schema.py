@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -123,7 +123,7 @@ class OwnSensorConfig(OwnSection):
     """Class of the instrument, `file.py:Class`; its options stand beside it."""
 
 
-def _tag_sensor(section: Any) -> str:
+def _tag_sensor(section: object) -> str:
     kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
     return kind if kind in ("pose", "targets") else OWN
 
@@ -179,7 +179,7 @@ class WorkspaceConfig(Section):
     """How many poses stand for the workspace."""
 
 
-def _tag_workspace(section: Any) -> str:
+def _tag_workspace(section: object) -> str:
     keys = WorkspaceConfig.model_fields.keys()
     legs = isinstance(section, WorkspaceConfig) or (isinstance(section, dict) and not keys.isdisjoint(section))
     return f"{MEASURED}home" if legs else f"{MEASURED}coordinates"

@@ -77,11 +77,11 @@ def list_variant(variant: Variant) -> list[Sequence[float]]:
 
 def _list_functions(variant: Variant, n_readings: int, n_equations: int) -> list[Sequence[float]]:
     """Return the arrays of errors that are functions of the pose."""
-    terms = [one for one in variant.errors.terms if isinstance(one, GPTerm)]
+    terms = variant.errors.terms_of(GPTerm)
     n_columns = sum(one.most_columns for one in terms)
     if not terms:
         return []
-    if any(isinstance(one, LowRankGPTerm) for one in terms):
+    if variant.errors.terms_of(LowRankGPTerm):
         n = len(terms[0].own.places)
         return [
             (ACTED, n_readings, n_columns),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import singledispatch
 from itertools import product
 from pathlib import Path
 
@@ -10,12 +11,11 @@ import numpy as np
 import pandas as pd
 
 from bayescal.config.load import read_toml
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.machine_scene import build_line_scene, build_scene
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
-from bayescal.machines.readings import FunctionModel
 from bayescal.machines.readings.line_machine import AXES, LineMachine
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
@@ -52,15 +52,15 @@ def describe_machine(path: Path) -> Page:
     model = read_reading_model(path)
     if model.legs is not None:
         return _describe_mechanism(model.legs.machine.mechanism)
-    if isinstance(model, FunctionModel) and isinstance(model.machine, SlidingPlatform):
-        return _describe_sliding(model.machine)
-    if isinstance(model, FunctionModel) and isinstance(model.machine, LineMachine):
-        return _describe_lines(model.name, model.machine)
-    if isinstance(model, FunctionModel) and isinstance(model.machine, StrutMachine):
-        return _describe_struts(model.name, model.machine)
+    with name_faults(f"{path}: kind"):
+        return _describe(getattr(model, "machine", model), getattr(model, "name", ""))
+
+
+@singledispatch
+def _describe(machine: object, name: str) -> Page:
+    """Return the page of a machine of one function whose class tells its joints."""
     raise InputError(
-        f"{path}: kind: found a machine whose class does not tell its joints, expected legs, struts, "
-        "sliding platform or lines"
+        "found a machine whose class does not tell its joints, expected legs, struts, sliding platform or lines"
     )
 
 
@@ -112,7 +112,8 @@ def _describe_mechanism(mechanism: Mechanism) -> Page:
 # --- other machines ----------------------------------------------------------------------------------------------
 
 
-def _describe_lines(name: str, machine: LineMachine) -> Page:
+@_describe.register
+def _describe_lines(machine: LineMachine, name: str) -> Page:
     blocks = {block.symbol: block.nominal for block in machine.parameters}
     anchors = [(float(x), float(y), float(z)) for x, y, z in zip(*(blocks[f"A_{axis}"] for axis in AXES), strict=True)]
     nothing = [NOWHERE] * len(anchors)
@@ -131,7 +132,8 @@ def _place(name: str, group: Group, places: Array) -> list[ScenePoint]:
     return [ScenePoint(f"{name} {k}", group, ((x, y, 0.0),)) for k, (x, y) in enumerate(places.tolist(), start=1)]
 
 
-def _describe_sliding(machine: SlidingPlatform) -> Page:
+@_describe.register
+def _describe_sliding(machine: SlidingPlatform, name: str) -> Page:
     """Return the page of a planar machine: guides, carriages at home, platform."""
     x, y, angle = machine.home.tolist()
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -156,13 +158,14 @@ def _describe_sliding(machine: SlidingPlatform) -> Page:
     columns += [Column("beta", "deg", symbolic=True), Column("l", "mm", symbolic=True)]
     numbers = np.column_stack([machine.guide_points, np.degrees(machine.guide_angles), machine.leg_lengths])
     table = _tabulate("Nominal guides and legs.", columns, numbers)
-    return _make_page(machine.name, f"A planar platform on {n} sliding legs.", (scene,), table)
+    return _make_page(name, f"A planar platform on {n} sliding legs.", (scene,), table)
 
 
 # --- struts that gravity bends and temperature stretches ---------------------------------------------------------
 
 
-def _describe_struts(name: str, machine: StrutMachine) -> Page:
+@_describe.register
+def _describe_struts(machine: StrutMachine, name: str) -> Page:
     nominal = {block.symbol: np.array(block.nominal) for block in machine.parameters}
     base, platform = (np.stack([nominal[f"{s}_{axis}"] for axis in AXES], axis=1) for s in "ab")
     home = np.array([coordinate.home for coordinate in machine.coordinates[:3]])

@@ -368,7 +368,7 @@ def _list_tolerances(readings: VariantReadings) -> Iterator[Cause]:
     Too wide are those of the machine alone: nobody states where an instrument stands better than it is known.
     """
     sampling, model = readings.posterior.sampling, readings.model
-    names, n_own = sampling.names, (model.whole if isinstance(model, InstrumentedMachine) else model).layout.size
+    names, n_own = sampling.names, model.bare.layout.size
     of_machine = np.asarray(sampling.free) < n_own
     symbols: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -496,7 +496,7 @@ def _find_frames(readings: VariantReadings, pose: Array) -> dict[str, Array]:
     """Return what motions of base and tool, 3 in mm and 3 in rad, do to what instruments read, (P, K, 6)."""
     likelihood, whole = readings.posterior.likelihood, readings.model
     external = ~readings.internal
-    bare = whole if isinstance(whole, InstrumentedMachine) else InstrumentedMachine(whole, ())
+    bare = InstrumentedMachine(whole.bare, ())
     if not external.any() or not whole.places_tool:
         return {}
     theta = readings.posterior.theta(readings.posterior.begin)

@@ -498,8 +498,8 @@ def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
 def leave_out_drift(readings: VariantReadings) -> VariantReadings:
     """Return readings whose errors do not drift in measuring order."""
     errors = readings.posterior.errors
-    steady = tuple(one for one in errors.terms if not (isinstance(one, GPTerm) and one.sort == DRIFT))
-    return replace(readings, posterior=replace(readings.posterior, errors=replace(errors, terms=steady)))
+    drifts = [one for one in errors.terms_of(GPTerm) if one.sort == DRIFT]
+    return replace(readings, posterior=replace(readings.posterior, errors=errors.without(drifts)))
 
 
 def leave_out_outliers(readings: VariantReadings) -> VariantReadings:

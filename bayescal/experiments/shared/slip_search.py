@@ -301,9 +301,8 @@ class SlipSearch:
     def most(self) -> Array:
         """Coordinates of errors that functions do not exceed here, `BEYOND` times what was allowed for, (n,)."""
         found, names = np.full(len(self.zeta), np.inf), self.posterior.errors.names
-        for one in self.posterior.errors.terms:
-            if isinstance(one, GPTerm):
-                found[names.index(one.names[0])] = one.priors[0].standardise(np.array(BEYOND * one.scale))
+        for one in self.posterior.errors.terms_of(GPTerm):
+            found[names.index(one.names[0])] = one.priors[0].standardise(np.array(BEYOND * one.scale))
         return found
 
     @cached_property
@@ -312,10 +311,9 @@ class SlipSearch:
         channels, data = self.readings.channels, self.posterior.likelihood.data
         noise = np.nanmedian(np.where(data.present, data.sd, np.nan), axis=0)
         found = np.zeros(len(channels))
-        for one in self.posterior.errors.terms:
-            if isinstance(one, GPTerm):
-                found = np.where([channel.unit == "mm" for channel in channels], one.scale, found)
-                found[one.own.places] = one.scale / one.own.levers
+        for one in self.posterior.errors.terms_of(GPTerm):
+            found = np.where([channel.unit == "mm" for channel in channels], one.scale, found)
+            found[one.own.places] = one.scale / one.own.levers
         return np.asarray(np.hypot(noise, found)) if found.any() else np.full(len(channels), np.inf)
 
     def measure(self, cause: Cause, fit: CauseFit) -> float:

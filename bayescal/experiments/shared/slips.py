@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator
 
 from bayescal.config.sections import check_once
+from bayescal.experiments.runner.results import Summary
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import capitalise, format_significant
 
@@ -97,7 +97,7 @@ def split_advice(text: str) -> tuple[str, str]:
     return f"{capitalise(fact)}.", advice and f"{capitalise(advice)}."
 
 
-def state_denied(summary: Mapping[str, Any]) -> list[Statement]:
+def state_denied(summary: Summary) -> list[Statement]:
     """Return the errors of data that would explain them and are ignored as configured."""
     return [
         Statement(
@@ -110,7 +110,7 @@ def state_denied(summary: Mapping[str, Any]) -> list[Statement]:
     ]
 
 
-def state_slip(summary: Mapping[str, Any]) -> list[Statement]:
+def state_slip(summary: Summary) -> list[Statement]:
     """Return the probable error of data that no machine within the tolerances explains, from a summary."""
     slip = summary.get("suspected_data_error")
     if not isinstance(slip, dict):

@@ -20,7 +20,7 @@ from bayescal.config.sections import (
 )
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
-from bayescal.density.schema import FixedConfig, ModelErrorConfig, PriorConfig, TermNames
+from bayescal.density.schema import ModelErrorConfig, PriorConfig, TermNames
 from bayescal.experiments.shared.readings.data_schema import DataConfig
 from bayescal.experiments.shared.readings.schema import (
     ChannelConfig,
@@ -229,7 +229,7 @@ class StudyConfig(ExperimentConfig):
                 prior = self.parameters.get(symbol.partition("[")[0])
                 if prior is None and any(symbol.startswith(f"{name}_") for name in self.instruments):
                     continue  # perhaps one that is found from the data
-                if prior is None or isinstance(prior, FixedConfig):
+                if prior is None or prior.prior == "fixed":
                     found = "no prior" if prior is None else "a fixed value"
                     raise ValueError(
                         f"variant {variant.name!r} frees {symbol!r}, which has {found} in [parameters], "

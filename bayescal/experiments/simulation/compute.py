@@ -37,7 +37,7 @@ from bayescal.data.truth import (
     read_true_parameters,
     round_as_written,
 )
-from bayescal.density.priors import NormalPrior, Prior, UniformPrior
+from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.shared.readings.instruments import read_instruments
 from bayescal.experiments.shared.readings.noise import noise_of_channels
@@ -154,11 +154,7 @@ class ReadingPlan:
         for name, value in self.fixed.items():
             theta[layout.names.index(name)] = value
         for name, prior in self.priors.items():
-            if isinstance(prior, UniformPrior):
-                drawn = float(rng.uniform(prior.lower, prior.upper))
-            else:
-                assert isinstance(prior, NormalPrior)
-                drawn = float(rng.normal(prior.centre, prior.scale))
+            drawn = float(prior.draw(1, rng)[0])
             places = [layout.names.index(one) for one in self.common.get(name, (name,))]
             theta[places] += drawn - theta[places[0]]
         layout.check(theta)
@@ -189,7 +185,7 @@ class SeenTool:
         config = self.config
         pairs = np.concatenate([self.frames[:-1], np.broadcast_to(self.frames[-1:], self.frames[:-1].shape)], axis=1)
         seen = move_frames(pairs, position[None], rotation[None])
-        if isinstance(config, PointInstrumentConfig):
+        if config.kind == "points":
             return {"points.csv": _format_points(names, seen, config, self.folder, origin, rng)}
         return {"poses.csv": _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)}
 
@@ -202,7 +198,7 @@ def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path
         raise InputError("sensors: found no commanded channel, expected some with [instrument]")
     if not model.places_tool:
         raise InputError("machine: found no place of its tool, expected tool_channels of its class, up to three in mm")
-    turned = isinstance(section, PointInstrumentConfig) or section.arcseconds is not None
+    turned = section.kind == "points" or section.arcseconds is not None
     if turned and not InstrumentedMachine(model, ()).tells_rotation:
         raise InputError(
             "instrument: found a machine that does not say how its tool is turned, expected poses without "
@@ -397,7 +393,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
 def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
     """Return the true frames of each station and of the probe, shape (S + 1, 6), mm and rad."""
     n_stations = 1
-    if isinstance(config, PointInstrumentConfig) and config.stations is not None:
+    if config.kind == "points" and config.stations is not None:
         n_stations = len(read_stations(folder / config.stations).names)
     bases = config.frames.base or [FrameTruthConfig()] * n_stations
     if len(bases) != n_stations:
@@ -417,8 +413,7 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     assert config.noise.target_um is not None
     commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
     base, platform = make_targets(twin.config, mechanism)
-    deformation = twin.machine.deformation  # which the pads follow; offsets of κ are not in it
-    ring = deformation.matrix if isinstance(deformation, MatrixDeformation) else np.zeros((mechanism.n_legs,) * 2)
+    ring = twin.machine.deformation.coupling(mechanism.n_legs)  # which the pads follow; offsets of κ are not in it
     deflection = (actual - mechanism.initial_actuator_positions) @ ring.T
     moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
     pads = platform.leg > 0

@@ -8,10 +8,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pandas as pd
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.study.inputs import StudyInputs
 
 
@@ -42,14 +43,14 @@ class Claims(ABC):
         """Raise InputError where a study lacks what the claims are put to, before anything is computed."""
 
     @abstractmethod
-    def tabulate(self, inputs: StudyInputs, summary: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+    def tabulate(self, inputs: StudyInputs, summary: Summary) -> dict[str, pd.DataFrame]:
         """Return tables for the study's results, by name: ``claims`` has a row for each claim that the study allows.
 
         Its rows are `ClaimRow`. Where values are printed, ``least_squares`` has a `PublishedParameterRow` for each
         parameter and leg.
         """
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> Summary:
         """Return what the page needs, JSON-ready."""
         return {
             "source": self.source,

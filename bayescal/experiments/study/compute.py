@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import pandas as pd
 
 from bayescal.experiments.runner.losses import attempt
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.estimate import TREE
 from bayescal.experiments.shared.posterior_files import write_packed
 from bayescal.experiments.shared.slips import MisstatedInput
@@ -47,7 +45,9 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         **({} if claims is None else {"publication": claims.describe()}),
     }
     if slip is None:
-        found = run.once("noise and tolerances", _find_misstated, (inputs, _name_best(fits)), (MisstatedInput,))
+        # of the largest evidence, of those that converged if any did
+        best = max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
+        found = run.once("noise and tolerances", _find_misstated, (inputs, best), (MisstatedInput,))
         summary["misstated"] = None if found is None else asdict(found)
     if claims is not None:
         judge = partial(run.once, "claims", _judge, (inputs, dict(summary)))
@@ -59,16 +59,11 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
     return Results(summary, tables, {**files, **list_machine_files(inputs)})
 
 
-def _name_best(fits: Mapping[str, ReadingFit]) -> str:
-    """Return the variant of the largest evidence, of those that converged if any did."""
-    return max(fits, key=lambda name: (not fits[name].list_problems(), fits[name].log_evidence))
-
-
 def _find_misstated(task: tuple[StudyInputs, str]) -> MisstatedInput | None:
     inputs, name = task
     return inputs.find_misstated([name])
 
 
-def _judge(task: tuple[StudyInputs, Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
+def _judge(task: tuple[StudyInputs, Summary]) -> dict[str, pd.DataFrame]:
     inputs, summary = task
     return {} if inputs.claims is None else inputs.claims.tabulate(inputs, summary)

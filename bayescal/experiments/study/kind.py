@@ -12,7 +12,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.runner.memory import MemoryEstimate
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.runner.terminal import show_verdict
 from bayescal.experiments.shared.calibrating import CalibratingKind, load_same
 from bayescal.experiments.shared.headline import list_candidates, read_rows
@@ -169,7 +169,7 @@ def _identify_data(provenance: Mapping[str, Any]) -> dict[str, object]:
     return found | {f"noise of {name}": one for name, one in config.get("sensors", {}).items()}
 
 
-def _describe_variant(results: str, name: str, fit: Mapping[str, Any]) -> dict[str, object]:
+def _describe_variant(results: str, name: str, fit: Summary) -> dict[str, object]:
     return {
         "results": results,
         "variant": name,

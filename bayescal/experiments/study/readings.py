@@ -24,6 +24,7 @@ from bayescal.density.calibration.prediction import (
 from bayescal.density.prediction import Prediction, compute_elpd
 from bayescal.experiments.runner.losses import attempt
 from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Arrays, Fit, PosteriorProblem, fit_posterior
 from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
@@ -411,7 +412,7 @@ def split_verification(
 
 def describe_readings(
     inputs: StudyInputs, found: Mapping[str, ReadingFit], run: Run
-) -> tuple[dict[str, dict[str, Any]], dict[str, pd.DataFrame], dict[str, Any]]:
+) -> tuple[dict[str, Summary], dict[str, pd.DataFrame], Summary]:
     """Return each variant's entry of the summary, the tables of all, and further entries of the summary.
 
     Folds are predicted in tasks.
@@ -471,12 +472,12 @@ def describe_readings(
     return known, {name: table for name, table in tables.items() if not table.empty}, summary
 
 
-def _describe(variant: Variant, fit: ReadingFit, held: list[FoldPrediction]) -> dict[str, Any]:
+def _describe(variant: Variant, fit: ReadingFit, held: list[FoldPrediction]) -> Summary:
     """Return a variant's row of the table of variants."""
     poses, predictions = fit.tables["poses"], tabulate_predictions(variant, held)
     n_equations = int(poses["n_dof"].sum())
     freedom = n_equations - len(fit.names)
-    row: dict[str, Any] = {
+    row: Summary = {
         "variant": variant.name,
         "title": title_variant(variant.config, variant.whole),
         "data_set": name_data(variant),

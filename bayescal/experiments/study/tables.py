@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from bayescal.config.classes import label_class
 from bayescal.density.calibration.model_error import RandomTerm
 from bayescal.density.prediction import Prediction
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Fit, Moments
 from bayescal.experiments.shared.function_errors import choose_size_unit
@@ -120,7 +121,7 @@ def find_differing(found: Sequence[Moments]) -> np.ndarray:
     return np.asarray(np.ptp(mean, axis=0) > DIFFERENT * sd)
 
 
-def describe_solutions(model: ReadingModel, fit: Fit) -> dict[str, Any]:
+def describe_solutions(model: ReadingModel, fit: Fit) -> Summary:
     """Return the solutions of a posterior that has several, the most probable first, as the summary has them.
 
     Small ones count together.
@@ -142,7 +143,7 @@ def describe_solutions(model: ReadingModel, fit: Fit) -> dict[str, Any]:
     return ({"modes": modes} if fit.others else {}) | ({"other_modes": small} if small else {})
 
 
-def rank_variants(rows: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+def rank_variants(rows: Mapping[str, Summary]) -> list[list[str]]:
     """Return names of variants of the same data together: the largest log-evidence first, what did not converge last.
 
     Of each variant a row has ``data_set``, ``converged`` and ``log_evidence``.
@@ -261,10 +262,10 @@ def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFra
     )
 
 
-def describe_errors(variant: Variant, prediction: Prediction) -> tuple[dict[str, float], dict[str, Any]]:
+def describe_errors(variant: Variant, prediction: Prediction) -> tuple[dict[str, float], Summary]:
     """Return errors of poses by use as columns of a variant's row, and as the summary has them."""
     row: dict[str, float] = {}
-    found: dict[str, Any] = dict.fromkeys(USES)
+    found: Summary = dict.fromkeys(USES)
     for use, chosen in zip(USES, (~variant.verification, variant.verification), strict=True):
         if chosen.any():
             found[use] = summarise_errors(prediction.select(chosen))
@@ -274,7 +275,7 @@ def describe_errors(variant: Variant, prediction: Prediction) -> tuple[dict[str,
     return row, found
 
 
-def summarise_errors(prediction: Prediction) -> dict[str, Any]:
+def summarise_errors(prediction: Prediction) -> Summary:
     """Return mean and largest errors of a prediction, and the coverage of its intervals."""
     position, orientation = prediction.position_error, np.degrees(prediction.orientation_error)
     return {
@@ -302,7 +303,7 @@ def tabulate_tau_scale(inputs: ReadingInputs, fits: Mapping[str, Fit]) -> pd.Dat
     """
     rows = []
     for name, fit in fits.items():
-        terms = [one for one in inputs.variants[name].errors.terms if isinstance(one, RandomTerm)]
+        terms = inputs.variants[name].errors.terms_of(RandomTerm)
         if not terms:
             continue
         places = [fit.names.index(one.names[0]) for one in terms]
@@ -350,7 +351,7 @@ def tabulate_legs(inputs: ReadingInputs) -> dict[str, pd.DataFrame]:
     return found
 
 
-def describe_legs(inputs: ReadingInputs) -> dict[str, Any]:
+def describe_legs(inputs: ReadingInputs) -> Summary:
     """Return what the summary has of models, drive and measurement of a machine on legs."""
     every = {name: one.whole.legs for name, one in inputs.variants.items()}
     seen = {one.name: one for one in inputs.config.variants if one.model is not None}

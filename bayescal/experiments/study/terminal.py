@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.runner.terminal import TerminalColumn, print_table, print_text
 from bayescal.experiments.shared.headline import (
     describe_candidate,
@@ -43,7 +43,7 @@ COMPARED = (
 )
 
 
-def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
+def show_ranking(summary: Summary, console: Console) -> None:
     """Print the variants of a study, those of one set of data together, and what did not converge."""
     from bayescal.experiments.study.page.solutions import say_solutions  # pandas, for those who show results
 
@@ -85,7 +85,7 @@ def show_ranking(summary: Mapping[str, Any], console: Console) -> None:
             print_text(console, f"NOT CONVERGED {name}: {fit['problems']}")
 
 
-def _format_errors(errors: Mapping[str, Any] | None) -> str:
+def _format_errors(errors: Summary | None) -> str:
     """Return mean and largest position error; a dash of a variant whose poses no instrument saw."""
     if not errors:
         return NO_VALUE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from difflib import get_close_matches
 from typing import Any, Final
@@ -14,7 +14,7 @@ import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.runner.parallel import Failed, Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.runner.store import open_pool
 from bayescal.experiments.sweep.inputs import Outcome, Setting, SweepInputs, compute_member, list_keys, look_up
 from bayescal.experiments.sweep.rows import Extent, SweepAnswerRow, SweepMemberRow
@@ -33,7 +33,7 @@ MIXED: Final = "in places"
 def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     """Return the table of all members and what it answers; members that fail are in it, with the reason."""
     config = inputs.config
-    taken, addresses, tasks, rows = [], list[str](), dict[str, tuple[Setting, ...]](), dict[str, list[Any]]()
+    taken, addresses, tasks, rows = [], list[str](), dict[str, tuple[Setting, ...]](), dict[str, list[object]]()
     for values, settings in inputs.list_members():
         try:
             address = inputs.find_address(settings)
@@ -43,9 +43,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
             rows[address] = _read_row(config, Outcome.of(str(error)))
         taken.append(values)
         addresses.append(address)
-    if (
-        run.store is not None and config.cache_dir
-    ):  # members are kept beside the results directory, for other sweeps too
+    if run.store is not None and config.cache_dir:  # members are kept beside the results, for other sweeps too
         run = replace(run, store=open_pool(run.store.out.resolve().parent / config.cache_dir))
     is_told = False
     for address, outcome in run.stream("members", compute_member, inputs.base, tasks, (Outcome,)):
@@ -62,7 +60,7 @@ def compute_sweep(inputs: SweepInputs, run: Run) -> Results:
     )
 
 
-def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
+def _check_figures(config: SweepConfig, summary: Summary) -> None:
     """Raise InputError where the summary of the first member that is done has none of the figures."""
     keys = [figure.key for figure in config.figures]
     if all(look_up(summary, key) is None for key in keys):
@@ -71,14 +69,14 @@ def _check_figures(config: SweepConfig, summary: dict[str, Any]) -> None:
         raise InputError(f"figures: found none of {', '.join(keys)} in the first summary{said}")
 
 
-def _read_row(config: SweepConfig, outcome: Outcome) -> list[Any]:
+def _read_row(config: SweepConfig, outcome: Outcome) -> list[object]:
     """Return a member's figures, its state and why; of thousands whole summaries, even packed, would take gigabytes."""
     summary = outcome.read()
     state = FAILED if not outcome.has_summary else UNSURE if outcome.failure else DONE
     return [*(_show(look_up(summary, figure.key)) for figure in config.figures), state, outcome.failure]
 
 
-def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list[Any]]) -> pd.DataFrame:
+def _tabulate(config: SweepConfig, taken: list[tuple[object, ...]], rows: list[list[object]]) -> pd.DataFrame:
     """Return a row per member: what its axes take, its figures, and what became of it."""
     names = [*(figure.key for figure in config.figures), "state", "reason"]
     columns: dict[str, list[Any]] = {
@@ -95,16 +93,14 @@ def _tabulate(config: SweepConfig, taken: list[tuple[Any, ...]], rows: list[list
     return SweepMemberRow.tabulate(found, state=state, reason=reason)
 
 
-def _show(value: Any) -> Any:
+def _show(value: object) -> object:
     """Return a number or a text as it is, a truth value as a number, anything else as JSON."""
     if isinstance(value, bool):
         return int(value)
     return value if value is None or isinstance(value, int | float | str) else json.dumps(value)
 
 
-def _summarise(
-    config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[SweepAnswerRow]
-) -> dict[str, Any]:
+def _summarise(config: SweepConfig, members: pd.DataFrame, n_distinct: int, answers: list[SweepAnswerRow]) -> Summary:
     figures = {}
     for figure in config.figures:
         column = members[figure.key]
@@ -126,7 +122,7 @@ def _summarise(
     }
 
 
-def list_missing(summary: Mapping[str, Any]) -> list[str]:
+def list_missing(summary: Summary) -> list[str]:
     """Return the figures that are in no member's summary; none where all members failed."""
     if summary["n_failed"] == summary["n_members"]:
         return []
@@ -175,7 +171,7 @@ def group_others(config: SweepConfig, members: pd.DataFrame, axis: AxisConfig) -
         yield ", ".join(said), rows
 
 
-def _show_setting(value: Any, axis: AxisConfig) -> str:
+def _show_setting(value: object, axis: AxisConfig) -> str:
     text = format_plain(value, 4) if isinstance(value, float) else str(value)
     return f"{text} {axis.unit if axis.factors is None else 'times'}".rstrip()
 

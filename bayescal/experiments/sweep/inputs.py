@@ -29,11 +29,12 @@ from bayescal.experiments.runner.identity import hash_identity, identify
 from bayescal.experiments.runner.load import AnyExperiment, find_kind, read_inputs
 from bayescal.experiments.runner.memory import MemoryEstimate, check_memory
 from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.sweep.schema import SEED, AxisConfig, SweepConfig
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
 
-type Setting = tuple[str, str, Any]
+type Setting = tuple[str, str, object]
 """File, empty for the experiment itself, dotted key, and value."""
 
 type Files = dict[str, bytes]
@@ -87,7 +88,7 @@ class Outcome:
     failure: str  # why it failed, or what forbids to rely on it
 
     @classmethod
-    def of(cls, failure: str, summary: Mapping[str, Any] | None = None) -> Outcome:
+    def of(cls, failure: str, summary: Summary | None = None) -> Outcome:
         """Return the outcome of a member, of one that failed without a summary."""
         text = "" if summary is None else json.dumps(summary, ensure_ascii=False, allow_nan=False)
         return cls(np.frombuffer(zlib.compress(text.encode()) if text else b"", dtype=np.uint8), failure)
@@ -97,9 +98,9 @@ class Outcome:
         """Whether it did not fail."""
         return self.packed.size > 0
 
-    def read(self) -> dict[str, Any]:
+    def read(self) -> Summary:
         """Return the summary; nothing where there is none."""
-        found: dict[str, Any] = json.loads(zlib.decompress(self.packed.tobytes())) if self.has_summary else {}
+        found: Summary = json.loads(zlib.decompress(self.packed.tobytes())) if self.has_summary else {}
         return found
 
 
@@ -173,7 +174,7 @@ def find(content: Mapping[str, Any], key: str) -> Any:
     return place
 
 
-def look_up(summary: Any, key: str) -> Any:
+def look_up(summary: object, key: str) -> object:
     """Return what a summary holds at a dotted key, whose parts may have dots of their own; None for nothing."""
     if not key:
         return summary
@@ -190,7 +191,7 @@ def look_up(summary: Any, key: str) -> Any:
     return None
 
 
-def list_keys(summary: Any, before: str = "") -> Iterator[str]:
+def list_keys(summary: object, before: str = "") -> Iterator[str]:
     """Yield the dotted keys of all numbers of a summary."""
     inner = summary.items() if isinstance(summary, dict) else enumerate(summary) if isinstance(summary, list) else ()
     for key, value in inner:
@@ -212,7 +213,7 @@ class SweepInputs:
     extended: dict[str, tuple[str, ...]]  # each input file with those that it extends
     need: MemoryEstimate  # memory that a member takes, as the experiment stands
 
-    def list_members(self) -> Iterator[tuple[tuple[Any, ...], tuple[Setting, ...]]]:
+    def list_members(self) -> Iterator[tuple[tuple[object, ...], tuple[Setting, ...]]]:
         """Yield what each axis takes and what that sets, member by member; the last axis is the fastest."""
         axes = [list(zip(axis.settings, _list_settings(axis, self.base), strict=True)) for axis in self.config.axes]
         rows = itertools.product(*axes) if self.config.mode == "grid" else zip(*axes, strict=True)
@@ -292,7 +293,7 @@ def _list_settings(axis: AxisConfig, base: BaseExperiment) -> list[tuple[Setting
     return [tuple((file, key, _multiply(key, value, one)) for file, key, value in now) for one in axis.factors]
 
 
-def _multiply(key: str, value: Any, factor: float) -> Any:
+def _multiply(key: str, value: object, factor: float) -> object:
     if isinstance(value, list):
         return [_multiply(key, one, factor) for one in value]
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +13,7 @@ from matplotlib import figure as mpl
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.headline import write_headline
 from bayescal.experiments.sweep.compute import ALWAYS, FROM, MIXED, NEVER, UP_TO, group_others, is_scale, list_missing
 from bayescal.experiments.sweep.rows import ROWS, SweepAnswerRow, SweepMemberRow
@@ -74,9 +73,7 @@ def build_page(config: SweepConfig, results: Results) -> Page:
     )
 
 
-def _list_key_figures(
-    config: SweepConfig, answers: list[SweepAnswerRow], summary: dict[str, Any]
-) -> tuple[KeyFigure, ...]:
+def _list_key_figures(config: SweepConfig, answers: list[SweepAnswerRow], summary: Summary) -> tuple[KeyFigure, ...]:
     """Return how many members there are, failed and are required values, and the range of the first figure."""
     n, failed, figure = summary["n_members"], summary["n_failed"], config.figures[0]
     found, unsure = summary["figures"][figure.key], summary["n_not_converged"]
@@ -121,7 +118,7 @@ def _place(row: SweepAnswerRow, axis: AxisConfig) -> str:
     return f"{row.extent} {name} {format_plain(row.bound, 3)}{unit}"
 
 
-def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
+def _state_span(figure: FigureConfig, summary: Summary) -> str:
     found = summary["figures"][figure.key]
     if "min" not in found:
         return f"No results for {figure.title} in {format_count(summary['n_members'])} members"
@@ -131,7 +128,7 @@ def _state_span(figure: FigureConfig, summary: dict[str, Any]) -> str:
     )
 
 
-def _state_members(summary: dict[str, Any]) -> Iterator[Statement]:
+def _state_members(summary: Summary) -> Iterator[Statement]:
     """Yield what became of the members, and figures that no summary has."""
     n, failed, unsure = summary["n_members"], summary["n_failed"], summary["n_not_converged"]
     text = f"{format_count(n)} members ({format_count(summary['n_distinct'])} distinct): {format_count(failed)} failed"
@@ -221,7 +218,7 @@ def _head(caption: str, rows: pd.DataFrame) -> str:
     return f"{caption}." if len(rows) <= MOST_ROWS else f"{caption}; the first {MOST_ROWS}, all in members.csv."
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     return _number(value, 4) if isinstance(value, float) else str(value) or NO_VALUE
 
 

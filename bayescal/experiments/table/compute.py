@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError, NumericalError
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.estimate import Estimate, estimate_posterior
 from bayescal.experiments.table.inputs import (
     Plan,
@@ -176,7 +175,7 @@ def _relate(drawn: Array, names: Sequence[str]) -> dict[str, object]:
     }
 
 
-def summarise(inputs: TableInputs, found: TableOutcome, problems: list[str]) -> dict[str, Any]:
+def summarise(inputs: TableInputs, found: TableOutcome, problems: list[str]) -> Summary:
     """Return what ``summary.json`` holds; lengths in mm, angles in rad."""
     config, study = inputs.config, inputs.study
     coordinates, offset = inputs.variant.model.coordinates, found.responses.offset

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib import figure as mpl
 
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.headline import say_data_first, write_headline
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.slips import state_slip
@@ -67,7 +66,7 @@ def build_page(results: Results) -> Page:
 # --- words -------------------------------------------------------------------------------------------------------
 
 
-def state_headline(summary: dict[str, Any]) -> str:
+def state_headline(summary: Summary) -> str:
     """Return whether to use the table, how large its uncertainty and the uncorrected offsets are, and what is next."""
     moves, known = [_largest(summary, key) for key in ("max_offset", "max_half_width_90")]
     worth = any(one["max_offset"] > one["max_half_width_90"] for one in summary["coordinates"].values())
@@ -77,7 +76,7 @@ def state_headline(summary: dict[str, Any]) -> str:
     return write_headline([advice, f"Offsets up to {moves}, known to ±{known} (90 %)"])
 
 
-def _list_key_figures(tables: Mapping[str, pd.DataFrame], summary: dict[str, Any]) -> list[KeyFigure]:
+def _list_key_figures(tables: Mapping[str, pd.DataFrame], summary: Summary) -> list[KeyFigure]:
     """Return offsets, sd of the corrections before and after, and what the plan would bring."""
     unit, now, prior = _unit(summary), summary["posterior_sd"], summary["prior_sd"]
     factor, name = SHOWN.get(unit, (1.0, unit))
@@ -96,7 +95,7 @@ def _rate(converged: bool) -> Level:
     return "good" if converged else "bad"
 
 
-def _largest(summary: dict[str, Any], key: str) -> str:
+def _largest(summary: Summary, key: str) -> str:
     """Return the largest amount of each unit among the coordinates."""
     found: dict[str, float] = {}
     for one in summary["coordinates"].values():
@@ -120,7 +119,7 @@ def _name_place(place: dict[str, float]) -> str:
     return ", ".join(f"{words} {format_plain(value)}{unit}" for words, unit, value in parts)
 
 
-def _state(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> list[Statement]:
+def _state(tables: dict[str, pd.DataFrame], summary: Summary) -> list[Statement]:
     found = state_slip(summary)
     if not summary["converged"]:
         problems = [str(one) for one in summary["problems"]]
@@ -139,11 +138,11 @@ def _state_amount(text: str, level: Level, lead: str, unit: str, value: float, l
     return Statement(text, level, lead, value=factor * value, limit=factor * limit, unit=name)
 
 
-def _unit(summary: dict[str, Any]) -> str:
+def _unit(summary: Summary) -> str:
     return str(next(iter(summary["actuators"].values()))["unit"])
 
 
-def _state_terms(summary: dict[str, Any]) -> Statement:
+def _state_terms(summary: Summary) -> Statement:
     misfit = max(one["polynomial_misfit"] for one in summary["actuators"].values())
     sd = max(one["max_sd"] for one in summary["actuators"].values())
     unit = _unit(summary)
@@ -152,14 +151,14 @@ def _state_terms(summary: dict[str, Any]) -> Statement:
     return _state_amount(text, level, "Formula", unit, misfit, sd)
 
 
-def _state_elsewhere(summary: dict[str, Any]) -> Statement:
+def _state_elsewhere(summary: Summary) -> Statement:
     other, unit = max(one["max_difference_elsewhere"] for one in summary["actuators"].values()), _unit(summary)
     sd = max(one["max_sd"] for one in summary["actuators"].values())
     text = f"Elsewhere in the workspace corrections differ by up to {_amount(other, unit)}."
     return _state_amount(text, "plain" if other <= 2.0 * sd else "warning", "Elsewhere", unit, other, 2.0 * sd)
 
 
-def _state_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Statement:
+def _state_plan(tables: dict[str, pd.DataFrame], summary: Summary) -> Statement:
     plan, unit = tables["plan"], _unit(summary)
     before, after = summary["sd_before_plan"], summary["sd_after_plan"]
     what = "more measurements" if summary["plan_include_existing_data"] else "measurements"
@@ -171,7 +170,7 @@ def _state_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Sta
 # --- sections ----------------------------------------------------------------------------------------------------
 
 
-def _show_offsets(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_offsets(tables: dict[str, pd.DataFrame], summary: Summary) -> PageSection:
     figure = Figure(
         "offsets",
         "Pose offsets from the reference, 90 % intervals.",
@@ -214,7 +213,7 @@ def _list_curves(rows: pd.DataFrame, axes: list[str]) -> list[tuple[str, pd.Data
     return [(_name_place({axes[1]: float(value)}), rows[rows[axes[1]] == value]) for value in chosen]
 
 
-def _show_corrections(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_corrections(tables: dict[str, pd.DataFrame], summary: Summary) -> PageSection:
     text = ("Files: lookup.csv, corrections.csv, correction_covariance.csv.",)
     return make_section("Actuator corrections", text, (_tabulate(tables["corrections"], list(summary["axes"])),))
 
@@ -233,7 +232,7 @@ def _tabulate(corrections: pd.DataFrame, axes: list[str]) -> Table:
     return make_table(caption, columns, rows[:FEW_ROWS])
 
 
-def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_terms(tables: dict[str, pd.DataFrame], summary: Summary) -> PageSection:
     table = tables["polynomial"]
     names = list(dict.fromkeys(table["actuator"]))
     factor, unit = SHOWN.get(_unit(summary), (1.0, _unit(summary)))
@@ -248,7 +247,7 @@ def _show_terms(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> Pag
     return make_section("Polynomial fit", text, (make_table("Coefficients, mean ± sd.", columns, rows),))
 
 
-def _show_plan(tables: dict[str, pd.DataFrame], summary: dict[str, Any]) -> PageSection:
+def _show_plan(tables: dict[str, pd.DataFrame], summary: Summary) -> PageSection:
     planned, unit = PlanRow.read(tables["plan"]), _unit(summary)
     factor, shown = SHOWN.get(unit, (1.0, unit))
     axes = list(summary["axes"])

@@ -82,6 +82,8 @@ class KinematicModel(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     drive: ClassVar[Drive] = "base"
+    has_perfect_joints: ClassVar[bool] = False
+    """Whether distances of joints are all that its closure knows of its legs."""
     Config: ClassVar[type[Section]] = Section
 
     @classmethod

@@ -108,6 +108,8 @@ def _multiply(one: Sequence[Array] | Array, other: Sequence[Array] | Array) -> A
 class LegDistance(KinematicModel):
     """Legs with perfect joints: f = l - |g|."""
 
+    has_perfect_joints: ClassVar[bool] = True
+
     def prepare(self, layout: ParameterLayout, theta: Array) -> Closure:
         """Return the closure; see `KinematicModel.prepare` for shapes."""
         return partial(self._close, layout, theta)

@@ -201,6 +201,11 @@ class Coordinate:
     home: float = 0.0
     reach: float = 1.0
 
+    @property
+    def stem(self) -> str:
+        """Its name, as columns have it."""
+        return self.name
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -439,6 +444,11 @@ class ReadingModel(ABC):
     def instrument_symbols(self) -> tuple[str, ...]:
         """Symbols of parameters that are those of instruments beside the machine."""
         return ()
+
+    @property
+    def bare(self) -> ReadingModel:
+        """The machine without instruments beside it."""
+        return self
 
     @property
     def home_pose(self) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -121,7 +121,7 @@ def check_values(model: FunctionModel) -> None:
         )
 
 
-def _describe_shapes(model: FunctionModel, theta: Any, pose: Any, given: Given) -> str:
+def _describe_shapes(model: FunctionModel, theta: np.ndarray, pose: np.ndarray, given: Given) -> str:
     """Return the shapes of what a machine's functions are called with, by which a wrong axis is found, in words.
 
     Of the parameters those of a single value and of a block of several.
@@ -146,7 +146,7 @@ def _call[Result](where: str, expected: str, function: Callable[[], Result]) -> 
         raise InputError(f"{where}: failed with {type(error).__name__}: {text}, expected {expected}") from error
 
 
-def _read(model: FunctionModel, where: str, theta: Any, pose: Any, given: Given) -> Array:
+def _read(model: FunctionModel, where: str, theta: np.ndarray, pose: np.ndarray, given: Given) -> Array:
     analytic = np.iscomplexobj(theta)
     shape = (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), len(model.channels))
     hint = "; see bayescal.numerics.analytic" if analytic else ""
@@ -262,7 +262,7 @@ class ReadingMachine(ABC):
         self.config = config
 
     @abstractmethod
-    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return the readings h(d, v), shape (..., K), in the units of the channels.
 
         It must take any leading axes, and complex numbers: it is differentiated by complex step. What NumPy has no
@@ -277,7 +277,9 @@ class ReadingMachine(ABC):
         given : mapping of str to ndarray, shape (...)
         """
 
-    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Sequence[Sequence[Any]] | None:
+    def slopes(
+        self, parameters: Parameters, v: np.ndarray, given: Given
+    ) -> Sequence[Sequence[np.ndarray | float]] | None:
         """Return ∂h/∂v in closed form, for each channel q real values that broadcast to (...).
 
         None by default: complex steps do as well, a little slower. Checked against them when the machine is read.
@@ -289,7 +291,7 @@ class ReadingMachine(ABC):
         """Raise InputError for data that cannot be; see `ReadingModel.check_given`. By default nothing is checked."""
         del poses, given, free
 
-    def tool(self, parameters: Parameters, v: Any) -> Any:
+    def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
         """Return what has to be accurate, (..., m), as `tool_channels` names it: the coordinates by default.
 
         It must take complex numbers, as `read` must.
@@ -297,27 +299,28 @@ class ReadingMachine(ABC):
         del parameters
         return v
 
-    def rotation(self, v: Any) -> Any:
+    def rotation(self, v: np.ndarray) -> np.ndarray | None:
         """Return how the tool is turned, (..., m, m) from its frame to the base's; None, as by default: it is not.
 
         It must take complex numbers. A rotation vector among the numbers of `tool` says the same.
         """
         del v
+        return None
 
 
-class Parameters(Mapping[str, Any]):
+class Parameters(Mapping[str, np.ndarray]):
     """Parameter vectors by symbol: a block's values have shape (..., n), a single one's (...)."""
 
-    def __init__(self, layout: ParameterLayout, theta: Any) -> None:
+    def __init__(self, layout: ParameterLayout, theta: np.ndarray) -> None:
         """Look at parameter vectors (..., D)."""
         self._layout, self._theta = layout, theta
 
-    def __getitem__(self, symbol: str) -> Any:
+    def __getitem__(self, symbol: str) -> np.ndarray:
         """Return a symbol's values."""
         found = self._theta[..., self._layout.index[symbol]]
         return found if self._layout.block(symbol).per_leg else found[..., 0]
 
-    def __iter__(self) -> Any:
+    def __iter__(self) -> Iterator[str]:
         """Iterate over the symbols."""
         return iter(self._layout.symbols)
 
@@ -418,7 +421,7 @@ class FunctionModel(ReadingModel):
 
     # --- readings ------------------------------------------------------------------------------------------------
 
-    def evaluate(self, theta: Any, pose: Any, given: Given) -> Any:
+    def evaluate(self, theta: np.ndarray, pose: np.ndarray, given: Given) -> np.ndarray:
         """Return the function's values, real or complex, for (..., D) and (..., q)."""
         found = np.asarray(self.machine.read(Parameters(self.layout, theta), pose, given))
         if not len(self.coordinates) and found.ndim:  # where nobody asks for the pose, not even for how many there are
@@ -443,7 +446,9 @@ class FunctionModel(ReadingModel):
         nowhere = (np.abs(turned) > LARGEST_STEP).any(axis=0)
         return np.where(nowhere, np.nan, values), np.where(nowhere, np.nan, turned / COMPLEX_STEP)
 
-    def _step(self, function: Callable[[Any, Any], Any], theta: Array, pose: Array, directions: Array) -> Any:
+    def _step(
+        self, function: Callable[[np.ndarray, np.ndarray], np.ndarray], theta: Array, pose: Array, directions: Array
+    ) -> np.ndarray:
         """Return a function's values (C, ..., m) at complex steps along directions (C, D + q) of (d, v)."""
         n = self.layout.size
         rounds = (len(directions),) + (1,) * (max(theta.ndim, pose.ndim) - 1)

@@ -19,21 +19,23 @@ An instrument that sees the point reads o + (1 + s)(v + ω e_z × v): offset o, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from bayescal.config.sections import NotNegative, Number, Positive, Section, Vector
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.numerics.analytic import sqrt
 
 GRAVITY = 9.80665
 PER_MILLION = 1e-6
 AXES = ("x", "y", "z")
+
+type Row = Sequence[np.ndarray | float]  # arrays (...) of lines or axes, or constants
 
 
 class LineConfig(Section):
@@ -115,7 +117,7 @@ class LineMachine(ReadingMachine):
         self.given = tuple(f"force_{k}" for k in n) if config.tension == "measured" else ()
         self.at_origin = np.array(config.force_at_origin_n or [0.0] * len(config.lines))
 
-    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return the motors' angles, the point as an instrument sees it, and the lines' lengths."""
         lengths, now = self._pay_out(parameters, [v[..., k] for k in range(len(AXES))], given)
         _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
@@ -125,19 +127,21 @@ class LineMachine(ReadingMachine):
         ]
         return np.stack(np.broadcast_arrays(*motors, *self._see(parameters, v), *lengths), axis=-1)
 
-    def _wind(self, radius: Any, buildup: Any, paid_out: Any, parallel: float) -> Any:
+    def _wind(
+        self, radius: np.ndarray, buildup: np.ndarray, paid_out: np.ndarray | float, parallel: float
+    ) -> np.ndarray:
         """Return by how much the motor of a spool has turned."""
         wound = sqrt(radius * radius - parallel * buildup * paid_out)
         return 2.0 * self.gear * parallel * paid_out / (radius + wound)
 
-    def _see(self, parameters: Parameters, v: Any) -> Any:
+    def _see(self, parameters: Parameters, v: np.ndarray) -> Row:
         """Return the point as an instrument sees it, three arrays (...)."""
         x, y, z = v[..., 0], v[..., 1], v[..., 2]
         turn, scale = parameters["omega"], 1.0 + parameters["s"]
         turned = (x - turn * y, y + turn * x, z)
         return [parameters[f"o_{axis}"] + scale * one for axis, one in zip(AXES, turned, strict=True)]
 
-    def _pay_out(self, parameters: Parameters, p: list[Any], given: Mapping[str, Any] | None) -> Any:
+    def _pay_out(self, parameters: Parameters, p: Row, given: Given | None) -> tuple[Row, Row]:
         """Return the lines' lengths at p and what of them has left the spools, N arrays (...) each."""
         lengths, directions = self._span(parameters, p)
         if self.tension == "none":
@@ -146,7 +150,7 @@ class LineMachine(ReadingMachine):
         compliance = PER_MILLION * parameters["c"]
         return lengths, [one / (1.0 + compliance * by) for one, by in zip(lengths, forces, strict=True)]
 
-    def _span(self, parameters: Parameters, p: list[Any]) -> tuple[list[Any], list[list[Any]]]:
+    def _span(self, parameters: Parameters, p: Row) -> tuple[Row, Sequence[Row]]:
         """Return the lines' lengths, N arrays (...), and directions u, as many by axes.
 
         Line by line: arrays whose last axis is as short as that of the lines are slow ones.
@@ -156,13 +160,13 @@ class LineMachine(ReadingMachine):
         lengths = [sqrt(x * x + y * y + z * z) for x, y, z in spans]
         return lengths, [[one / by for one in span] for span, by in zip(spans, lengths, strict=True)]
 
-    def _pull(self, parameters: Parameters, directions: list[list[Any]], given: Mapping[str, Any] | None) -> Any:
+    def _pull(self, parameters: Parameters, directions: Sequence[Row], given: Given | None) -> Row:
         """Return the lines' tensions, N arrays (...)."""
         if self.tension == "hanging":
             return self._hang(parameters["T"], directions)[0]
-        return self.at_origin if given is None else [given[name] for name in self.given]
+        return [*self.at_origin] if given is None else [given[name] for name in self.given]
 
-    def _hang(self, even: Any, directions: list[list[Any]]) -> tuple[list[Any], list[Any], list[list[Any]]]:
+    def _hang(self, even: np.ndarray, directions: Sequence[Row]) -> tuple[Row, Row, Sequence[Row]]:
         """Return tensions F = T + uᵀλ, N arrays (...), of a point that hangs in its lines, λ and M⁻¹ = (U Uᵀ)⁻¹."""
         # by its six entries: Cramer's rule is quicker than LAPACK for a pose each
         xx, yy, zz, xy, xz, yz = (
@@ -179,7 +183,7 @@ class LineMachine(ReadingMachine):
 
     # --- by the pose ---------------------------------------------------------------------------------------------
 
-    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> list[list[Any]]:
+    def slopes(self, parameters: Parameters, v: np.ndarray, given: Given) -> Sequence[Row]:
         """Return ∂h/∂v in closed form: ∂l/∂p = -u, ∂θ/∂Δ = g m / r."""
         point = [v[..., k] for k in range(len(AXES))]
         lengths, directions = self._span(parameters, point)
@@ -195,8 +199,8 @@ class LineMachine(ReadingMachine):
         return [*motors, *seen, *([-one for one in u] for u in directions)]
 
     def _stretch(
-        self, parameters: Parameters, lengths: list[Any], directions: list[list[Any]], given: Mapping[str, Any]
-    ) -> tuple[list[Any], list[list[Any]]]:
+        self, parameters: Parameters, lengths: Row, directions: Sequence[Row], given: Given
+    ) -> tuple[Row, Sequence[Row]]:
         """Return what has left the spools, N arrays (...), and its derivatives by the point, as many by axes."""
         rigid = [[-one for one in u] for u in directions]
         if self.tension == "none":
@@ -213,8 +217,8 @@ class LineMachine(ReadingMachine):
         return paid_out, slopes
 
     def _differentiate_forces(
-        self, even: Any, lengths: list[Any], directions: list[list[Any]]
-    ) -> tuple[list[Any], list[list[Any]]]:
+        self, even: np.ndarray, lengths: Row, directions: Sequence[Row]
+    ) -> tuple[Row, Sequence[Row]]:
         """Return the tensions of a point that hangs and their derivatives by the point.
 
         With ∂u/∂p = -(1 - u uᵀ)/l and e = (λ - u uᵀλ)/l they are ∂F/∂p = -e + Bᵀ M⁻¹ u, where
@@ -237,6 +241,6 @@ class LineMachine(ReadingMachine):
         return forces, slopes
 
 
-def dot(one: list[Any], other: list[Any]) -> Any:
+def dot(one: Row, other: Row) -> np.ndarray | float:
     """Return the scalar product of vectors given by their three components."""
     return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]

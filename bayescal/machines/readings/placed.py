@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -77,7 +77,7 @@ class Instrument(ReadingMachine):
     """
 
     @abstractmethod
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return the readings, shape (..., K), in the units of the channels; it must take complex numbers.
 
         Parameters
@@ -88,7 +88,7 @@ class Instrument(ReadingMachine):
             Of the tool in the base frame, mm.
         """
 
-    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return the readings of the tool's position and rotation vector v (..., 6)."""
         del given
         return self.see(parameters, v[..., :3], rotation_matrix(v[..., 3:]))
@@ -187,7 +187,7 @@ class PointInstrument(Instrument):
         self.parameters = [*_frame("frame", config.frame_mm, config.frame_deg), *_points("target", config.target_mm)]
         self.channels = [Channel(f"[{axis}]", "mm") for axis in "xyz"]
 
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return where the target is in the instrument's frame."""
         own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
         return turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
@@ -198,9 +198,7 @@ class PointInstrument(Instrument):
         """Return the frame that fits points best, by Kabsch's algorithm; see `Instrument.propose`."""
         frame, _ = fit_point_frame(_find_target(stated, position, rotation), seen[:, :3])
         found = [{}, _list_frame("frame", *frame)]
-        if (
-            "target" in stated
-        ):  # a target far from the tool's centre moves as it turns: all turns of the frame are tried
+        if "target" in stated:  # one far from the tool's centre moves as it turns: all turns of the frame are tried
             for vector in list_turns(vector_of(frame[1])):
                 place, target = fit_places(position, rotation, seen[:, :3], rotation_matrix(vector))
                 found.append({"frame": place, "frame_r": vector, "target": target})
@@ -224,7 +222,7 @@ class PoseInstrument(PointInstrument):
         self.parameters = [*self.parameters[:2], *target]
         self.channels = [*self.channels, *(Channel(f"r[{axis}]", "rad", rotation="r") for axis in "xyz")]
 
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return position and rotation vector in the instrument's frame."""
         own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
         turned = rotation_vector(own @ rotation @ rotation_matrix(parameters["target_r"]))
@@ -264,7 +262,7 @@ class DistanceInstrument(Instrument):
         self.parameters = [anchor, *_points("target", config.target_mm), zero]
         self.channels = [Channel("", "mm")]
 
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return the distance."""
         away = norm(_find_target(parameters, position, rotation) - parameters["anchor"])
         return (away - parameters["zero"])[..., None]
@@ -302,12 +300,12 @@ def _list_frame(symbol: str, position: Array, axes: Array) -> dict[str, Array]:
     return {symbol: position, f"{symbol}_r": vector_of(axes)}
 
 
-def turn(rotation: Any, vector: Any) -> Any:
+def turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return vectors (..., 3) turned by rotations (..., 3, 3)."""
     return (rotation @ vector[..., None])[..., 0]
 
 
-def _find_target(parameters: Mapping[str, Any], position: Any, rotation: Any) -> Any:
+def _find_target(parameters: Mapping[str, np.ndarray], position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return where the target is in the base frame, (..., 3)."""
     return position + turn(rotation, parameters["target"]) if "target" in parameters else position
 
@@ -383,6 +381,7 @@ class InstrumentedMachine(ReadingModel):
 
     legs = hand_on("whole.legs")
     # no instrument moves the tool, is commanded or has coordinates
+    bare = hand_on("whole")
     coordinates = hand_on("whole.coordinates")
     given = hand_on("whole.given")
     commanded = hand_on("whole.commanded")

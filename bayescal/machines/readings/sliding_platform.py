@@ -17,14 +17,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.machines.models.legs import legs_first
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import Channel, Coordinate
+from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.machines.schema import SlidingPlatformConfig
 from bayescal.numerics.analytic import atan2, sqrt
@@ -43,12 +43,12 @@ class _Legs(NamedTuple):
     -π/2 and π/2, or between π/2 and 3π/2. ``arm`` is R (ξ_B, η_B), ``guide`` is e, by x and y.
     """
 
-    reach: Any
-    across: Any
-    along: Any
-    angle: Any
-    arm: tuple[Any, Any]
-    guide: tuple[Any, Any]
+    reach: np.ndarray
+    across: np.ndarray
+    along: np.ndarray
+    angle: np.ndarray
+    arm: tuple[np.ndarray, np.ndarray]
+    guide: tuple[np.ndarray, np.ndarray]
 
 
 class SlidingPlatform(ReadingMachine):
@@ -137,7 +137,7 @@ class SlidingPlatform(ReadingMachine):
 
     # --- readings ------------------------------------------------------------------------------------------------
 
-    def _stand(self, parameters: Mapping[str, Any], pose: Any) -> _Legs:
+    def _stand(self, parameters: Mapping[str, np.ndarray], pose: np.ndarray) -> _Legs:
         # legs first inside, for NumPy is slow where the last axis is short
         x_p, y_p, beta, length, xi, eta = (legs_first(parameters[name], pose.ndim) for name in POINTS)
         cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
@@ -151,7 +151,7 @@ class SlidingPlatform(ReadingMachine):
         angle = np.where(forward, acute, np.pi - acute)
         return _Legs(e_x * w_x + e_y * w_y, across, np.where(forward, size, -size), angle, (arm_x, arm_y), (e_x, e_y))
 
-    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what carriages and angle sensors read, then the tool's pose."""
         del given
         legs = self._stand(parameters, v)
@@ -160,17 +160,17 @@ class SlidingPlatform(ReadingMachine):
         seen = np.broadcast_arrays(*self._place(parameters, v), v[..., 2], legs.angle[0])[:3]
         return np.moveaxis(np.concatenate([*own, np.stack(seen)]), 0, -1)
 
-    def _place(self, parameters: Parameters, v: Any) -> tuple[Any, Any]:
+    def _place(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tool's centre V = p + R(φ) (ξ_V, η_V), x and y."""
         cosine, sine = np.cos(v[..., 2]), np.sin(v[..., 2])
         xi, eta = parameters["xi_V"], parameters["eta_V"]
         return v[..., 0] + cosine * xi - sine * eta, v[..., 1] + sine * xi + cosine * eta
 
-    def tool(self, parameters: Parameters, v: Any) -> Any:
+    def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
         """Return the tool's centre."""
         return np.stack(np.broadcast_arrays(*self._place(parameters, v)), axis=-1)
 
-    def rotation(self, v: Any) -> Any:
+    def rotation(self, v: np.ndarray) -> np.ndarray:
         """Return R(φ)."""
         return matrix_of_angle(v[..., 2])
 

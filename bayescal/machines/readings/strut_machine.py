@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -31,7 +31,7 @@ from pydantic import Field, field_validator
 from bayescal.config.sections import Number, Positive, Section, Vector
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import POSE, POSE_CHANNELS, Channel, Coordinate
+from bayescal.machines.readings.base import POSE, POSE_CHANNELS, Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.numerics.analytic import norm, rotation_matrix
 from bayescal.numerics.geometry import Array, compute_left_jacobian, skew_matrix
@@ -99,14 +99,14 @@ class _Stand:
     1 + ε_s ΔT.
     """
 
-    length: Any
-    directions: Any
-    arms: Any
-    centre: Any
-    force: Any
-    grasp: Any
-    tension: Any
-    growth: Any
+    length: np.ndarray
+    directions: np.ndarray
+    arms: np.ndarray
+    centre: np.ndarray
+    force: np.ndarray
+    grasp: np.ndarray
+    tension: np.ndarray
+    growth: np.ndarray
 
 
 class StrutMachine(ReadingMachine):
@@ -149,14 +149,14 @@ class StrutMachine(ReadingMachine):
         ]
         self.tool_channels = POSE_CHANNELS
 
-    def read(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> Any:
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what the six actuators read, then the pose."""
         at = self._stand(parameters, v, given)
         q = (at.length - NM * parameters["c"] * at.tension) / at.growth - parameters["l"]
         shape = np.broadcast_shapes(q.shape[:-1], v.shape[:-1])
         return np.concatenate([np.broadcast_to(one, (*shape, N_STRUTS)) for one in (q, v)], axis=-1)
 
-    def _stand(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> _Stand:
+    def _stand(self, parameters: Parameters, v: np.ndarray, given: Given) -> _Stand:
         """Return lengths and tensions of the struts where the platform stands."""
         warmer = np.asarray(given[TEMPERATURE]) - self.reference
         elevation = np.deg2rad(np.asarray(given[ELEVATION]))
@@ -176,7 +176,7 @@ class StrutMachine(ReadingMachine):
         growth = (1.0 + PER_MILLION * parameters["e_s"] * warmer)[..., None]
         return _Stand(length, u, arms, centre, force, grasp, tension, growth)
 
-    def _carry_base(self, parameters: Parameters, elevation: Any, warmer: Any) -> Any:
+    def _carry_base(self, parameters: Parameters, elevation: np.ndarray, warmer: np.ndarray) -> np.ndarray:
         """Return the base's joints where what carries it has them, (..., 6, 3)."""
         points = _grow(parameters, "a", "e_b", warmer)
         across, up = np.cos(elevation)[..., None], (1.0 - np.sin(elevation))[..., None]
@@ -187,7 +187,7 @@ class StrutMachine(ReadingMachine):
 
     # --- by the pose ---------------------------------------------------------------------------------------------
 
-    def slopes(self, parameters: Parameters, v: Any, given: Mapping[str, Any]) -> list[list[Any]]:
+    def slopes(self, parameters: Parameters, v: np.ndarray, given: Given) -> Sequence[Sequence[np.ndarray | float]]:
         """Return ∂h/∂v in closed form: G ∂t/∂v = ∂w/∂v - (∂G/∂v) t for the tensions of G t = w."""
         at = self._stand(parameters, v, given)
         tighter = _solve(at.grasp, _change_load(at))
@@ -240,11 +240,11 @@ def _list_axes(length: str, angle: str) -> list[tuple[str, str]]:
     return [(axis, length if k < 3 else angle) for k, axis in enumerate(POSE)]
 
 
-def _six(parameters: Parameters, what: str) -> Any:
+def _six(parameters: Parameters, what: str) -> np.ndarray:
     return np.stack([parameters[f"{what}_{axis}"] for axis in POSE], axis=-1)
 
 
-def _change_load(at: _Stand) -> Any:
+def _change_load(at: _Stand) -> np.ndarray:
     """Return ∂w/∂(p, ω) - Σ ∂g/∂(p, ω) t for the struts' screws g = (u, a × u) with arms a, shape (..., 6, 6).
 
     ∂u = (1 - u uᵀ) (∂p - a × ∂ω) / l, so that with T = t / l the sum over struts is that of
@@ -266,25 +266,25 @@ def _change_load(at: _Stand) -> Any:
     return result
 
 
-def _grow(parameters: Parameters, symbol: str, expansion: str, warmer: Any) -> Any:
+def _grow(parameters: Parameters, symbol: str, expansion: str, warmer: np.ndarray) -> np.ndarray:
     """Return the joints of base or platform as temperature has them, (..., 6, 3)."""
     points = np.stack([parameters[f"{symbol}_{axis}"] for axis in "xyz"], axis=-1)
     return points * (1.0 + PER_MILLION * parameters[expansion] * warmer)[..., None, None]
 
 
-def _turn(rotation: Any, vectors: Any) -> Any:
+def _turn(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return vectors (..., n, 3) turned by rotations (..., 3, 3)."""
     return vectors @ np.swapaxes(rotation, -1, -2)
 
 
-def _cross(one: Any, other: Any) -> Any:
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the cross product of vectors (..., 3), which `numpy.cross` takes longer for."""
     x, y, z = (one[..., k] for k in range(3))
     u, v, w = (other[..., k] for k in range(3))
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
-def _solve(matrix: Any, columns: Any) -> Any:
+def _solve(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return X of matrix (..., 6, 6) times X = columns (..., 6, n); NaN where any is singular."""
     try:
         return np.linalg.solve(matrix, columns)

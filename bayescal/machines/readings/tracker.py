@@ -8,7 +8,6 @@ frame and the joints with it changes no measurement: six gauge freedoms a frame.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -82,13 +81,13 @@ class Tracker(Instrument):
             if point is None and turned:
                 self.channels += [Channel(f"{name}_r[{axis}]", "rad", rotation=f"{name}_r") for axis in AXES]
 
-    def _frame(self, parameters: Parameters, k: int) -> tuple[Any, Any]:
+    def _frame(self, parameters: Parameters, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return position (..., 3) and rotation (..., 3, 3) of a frame."""
         moved, turned = self._frames[k]
         position, vector = (np.stack([parameters[one] for one in some], axis=-1) for some in (moved, turned))
         return position, rotation_matrix(vector)
 
-    def see(self, parameters: Parameters, position: Any, rotation: Any) -> Any:
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return what each station sees, in the order of the channels."""
         if not self._turned:
             places = [self._frame(parameters, station) for station, _ in self._seen]

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -21,7 +20,7 @@ from bayescal.experiments.audit.rows import (
     AuditVariantRow,
     FreeingStepRow,
 )
-from bayescal.experiments.runner.results import Results
+from bayescal.experiments.runner.results import Results, Summary
 from bayescal.experiments.shared.rows import ToolUncertaintyRow
 from bayescal.files.rows import TableRow, check_tables
 from bayescal.limits import IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
@@ -57,7 +56,7 @@ class PlanChange:
 class AuditResults:
     """What an audit left: its summary, and the tables that are there and not empty."""
 
-    summary: dict[str, Any]
+    summary: Summary
     tables: dict[str, pd.DataFrame]
 
     @classmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ from bayescal.experiments.audit.page.wording import (
     say_most,
 )
 from bayescal.experiments.audit.rows import AuditCombinationRow, AuditParameterRow, FreeingStepRow
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.headline import LIKELY
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
 from bayescal.limits import COVERAGE, IDENTIFIABLE_CONTRACTION, UNIDENTIFIABLE_CONTRACTION
@@ -451,8 +452,8 @@ def tabulate_simulated(results: AuditResults) -> list[Table]:
     return [_tabulate_simulated(what, found) for what, found in there.items() if found is not None and found["symbols"]]
 
 
-def _tabulate_simulated(what: str, simulated: dict[str, Any]) -> Table:
-    def write_ratio(one: dict[str, Any]) -> Cell:
+def _tabulate_simulated(what: str, simulated: Summary) -> Table:
+    def write_ratio(one: Summary) -> Cell:
         text = f"{format_fixed(one['ratio'], 3)} ± {format_fixed(one['ratio_se'], 3)}"
         return Cell(text, "warning" if is_off(one["ratio"], one["ratio_se"]) else "plain")
 
@@ -500,7 +501,7 @@ def tabulate_audit(results: AuditResults) -> Table:
     return make_pairs("The audit.", rows)
 
 
-def _describe_workspace(stated: Mapping[str, Any]) -> str:
+def _describe_workspace(stated: Summary) -> str:
     """Say where accuracy counts: half widths about home, or bounds of coordinates in the audit's units."""
     if not stated:
         return "none stated"

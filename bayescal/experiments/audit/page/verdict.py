@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 import pandas as pd
 
@@ -19,6 +18,7 @@ from bayescal.experiments.audit.page.wording import (
     say,
 )
 from bayescal.experiments.audit.rows import PARAMETER_ERROR, AuditRequirementRow, SensorSetRow
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.headline import (
     LIKELY,
     rate_probability,
@@ -461,7 +461,7 @@ def write_two(value: float) -> str:
 
 def _state_simulated(results: AuditResults) -> Iterator[Statement]:
     """Say whether simulated calibrations with everything free agree with what is predicted of them."""
-    simulated: dict[str, Any] | None = results.summary.get("simulated_calibrations")
+    simulated: Summary | None = results.summary.get("simulated_calibrations")
     if simulated is None or not simulated["symbols"]:
         return
     off = [symbol for symbol, values in simulated["symbols"].items() if is_off(values["ratio"], values["ratio_se"])]

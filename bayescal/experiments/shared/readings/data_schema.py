@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -61,6 +61,7 @@ class TargetDataConfig(DataTable):
 
     kind: Literal["targets"]
     """`"targets"`."""
+    name: ClassVar[str] = ""
     actuators: InputFile
     """CSV file of actuator positions."""
     reference: InputFile
@@ -129,7 +130,7 @@ class PointDataConfig(InstrumentDataConfig):
         return self
 
 
-def _tag_data(value: Any) -> str:
+def _tag_data(value: object) -> str:
     kind = value.get("kind", READINGS) if isinstance(value, dict) else getattr(value, "kind", READINGS)
     return OWN if isinstance(kind, str) and ":" in kind else f"{MEASURED}{kind}"
 

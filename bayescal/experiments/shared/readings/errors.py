@@ -233,5 +233,5 @@ def check_floors(floors: Mapping[TermName, float], tolerances: Sequence[float]) 
 def drop_model_error(posterior: CalibrationPosterior) -> CalibrationPosterior:
     """Return a posterior without the terms of its model error."""
     errors = posterior.errors
-    others = tuple(one for one in errors.terms if not isinstance(one, RandomTerm | GPTerm))
-    return replace(posterior, errors=replace(errors, terms=others))
+    own = [*errors.terms_of(RandomTerm), *errors.terms_of(GPTerm)]
+    return replace(posterior, errors=errors.without(own))

@@ -21,7 +21,7 @@ from bayescal.density.elimination import invert
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.sampling import place_free
-from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
+from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
@@ -116,7 +116,7 @@ def find_frames(
     placed = place(machine, zero)
     assert isinstance(placed, InstrumentedMachine)
     for symbol in wide:
-        if isinstance(config.parameters.get(symbol), FixedConfig):
+        if symbol in config.parameters and config.parameters[symbol].prior == "fixed":
             raise InputError(f"parameters.{symbol}: found fixed, expected its value in [instruments]")
     found = FoundFrames(instruments, wide)
     search = _Search.prepare(found.free(config), placed, readings, deviations, symbols)
@@ -342,6 +342,11 @@ class _Problem:
     def free(self) -> np.ndarray:
         return self.sd > 0.0
 
+    @property
+    def _instrument(self) -> Instrument:
+        assert isinstance(self.model.machine, Instrument)
+        return self.model.machine
+
     @cached_property
     def _steps(self) -> Array:
         return np.array([SCALE.get(unit, 1.0) for unit in self.model.layout.units])[self.free]
@@ -394,11 +399,9 @@ class _Problem:
         """Return the values (F,) of the best fit from all proposals."""
         layout, position, rotation = self.model.layout, self.tool[:, :3], self.tool[:, 3:]
         by_symbol = {symbol: self.stated[places] for symbol, places in layout.index.items()}
-        instrument = self.model.machine
-        assert isinstance(instrument, Instrument)
         with np.errstate(all="ignore"):
             turned = _turn(rotation)
-            proposed = instrument.propose(by_symbol, self.seen, position, turned)
+            proposed = self._instrument.propose(by_symbol, self.seen, position, turned)
         starts = []
         for one in proposed:
             values = self.stated.copy()
@@ -456,9 +459,7 @@ class _Problem:
         )
 
     def _check_hand(self, name: str, fits: float) -> None:
-        instrument = self.model.machine
-        assert isinstance(instrument, Instrument)
-        if fits > FITS and instrument.find_mirrored(self.seen, self.tool[:, :3], _turn(self.tool[:, 3:])):
+        if fits > FITS and self._instrument.find_mirrored(self.seen, self.tool[:, :3], _turn(self.tool[:, 3:])):
             raise InputError(f"{name}: readings are left-handed: check signs and order of x, y, z")
 
     def _check_stated(self, name: str, start: Array, found: Array, share: float, known: np.ndarray) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.errors import InputError, NumericalError, name_faults
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.outlook import describe_determinacy, join_outlooks
 from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
 from bayescal.experiments.shared.readings.data_schema import ReadingsTable
@@ -139,7 +139,7 @@ class ReadingInputs:
     pads: SeenPads | None = None  # targets on a mechanism
 
     @property
-    def described(self) -> dict[str, Any]:
+    def described(self) -> Summary:
         """Entries of the summary that say what instruments measured; of several of a kind the first counts."""
         return {key: value for one in reversed(self.measured) for key, value in one.described.items()}
 

@@ -36,7 +36,6 @@ from bayescal.data.instruments.readings import (
     TrackedPoints,
     TrackedReadings,
     check_places,
-    check_units,
     turn_of,
 )
 from bayescal.data.measured_poses import MeasuredPoses, check_repeated
@@ -44,6 +43,7 @@ from bayescal.data.photogrammetry.poses import PoseExtraction, check_exchanged, 
 from bayescal.data.photogrammetry.survey import Survey, check_target_columns, read_reference, read_survey
 from bayescal.density.schema import NormalConfig, PriorConfig
 from bayescal.errors import InputError, name_faults
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.readings.data_schema import (
     PointDataConfig,
     PoseDataConfig,
@@ -57,7 +57,7 @@ from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.readings import Channel, Instrument, InstrumentedMachine, ReadingModel, Tracker
+from bayescal.machines.readings import Channel, Instrument, ReadingModel, Tracker
 from bayescal.machines.readings.base import POSE_CHANNELS
 from bayescal.machines.readings.placed import locate_tool, rename_channel
 from bayescal.machines.readings.tracker import frame_symbols, name_frames
@@ -88,7 +88,7 @@ class Measured:
     seen: tuple[Channel, ...]  # by their names on the machine with its instruments
     # poses of the tool as measured, all frames as they should be; NaN where a coordinate is not
     poses: MeasuredPoses
-    described: dict[str, Any]  # entries of the summary that say what was measured
+    described: Summary  # entries of the summary that say what was measured
     # an instrument whose frames have to be found, that sees points which tell no whole pose, or a pose of a machine
     # that has no such channels
     tracker: Tracker | None = None
@@ -105,7 +105,7 @@ class Measured:
     @property
     def instruments(self) -> dict[str, Instrument]:
         """The tracker, by what begins the names of its parameters and channels."""
-        return {} if self.tracker is None else {name_instrument(self.data): self.tracker}
+        return {} if self.tracker is None else {self.data.name: self.tracker}
 
     def spread(self, model: ReadingModel) -> PoseReadings:
         """Return the readings of all channels (K) of the machine with its instruments; NaN where there are none."""
@@ -127,19 +127,14 @@ class Measured:
 
     def check(self, model: ReadingModel) -> None:
         """Raise InputError where the readings cannot be in the units that their table names."""
-        whole = model.whole if isinstance(model, InstrumentedMachine) else model
+        whole = model.bare
         if self.tracked is None or not self.commands or whole.given:
             return
         expected, path = locate_tool(whole, self.tracked.actuators), self.folder / self.data.file
-        check_units(expected, self.tracked, path)
-        if isinstance(self.data, PointDataConfig) and isinstance(self.tracked, TrackedPoints):
+        self.tracked.check_units(expected, path)
+        if self.data.kind == "points" and isinstance(self.tracked, TrackedPoints):
             stations = None if self.data.stations is None else self.folder / self.data.stations
             check_places(expected, self.tracked, read_stations(stations).position, path)
-
-
-def name_instrument(data: InstrumentTable) -> str:
-    """Return what begins the names of a table's channels and frames."""
-    return "" if isinstance(data, TargetDataConfig) else data.name
 
 
 def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
@@ -220,7 +215,7 @@ class InstrumentReader:
 
     def read(self, data: InstrumentTable) -> Measured:
         """Return what a table measured; InputError for anything at fault in it or in those beside it."""
-        found = self._read_targets(data) if isinstance(data, TargetDataConfig) else self._read_tracked(data)
+        found = self._read_targets(data) if data.kind == "targets" else self._read_tracked(data)
         if found.commands:
             poses = found.poses
             with name_faults(self.folder / (data.actuators or data.file)):
@@ -231,7 +226,7 @@ class InstrumentReader:
     # --- what is read --------------------------------------------------------------------------------------------
 
     def _read_tracked(self, data: PoseDataConfig | PointDataConfig) -> Measured:
-        tracked, taken = self._read_poses(data) if isinstance(data, PoseDataConfig) else self._read_points(data)
+        tracked, taken = self._read_poses(data) if data.kind == "poses" else self._read_points(data)
         with name_faults(self.folder / data.file):
             check_repeated(tracked.names, tracked.values, taken.verification)
         free = [name for name in ("base", "tool") if getattr(data.frames, name) is not None]
@@ -239,7 +234,7 @@ class InstrumentReader:
         if not free and self.machine.reads_pose:
             if tracked.is_whole():
                 return self._join(data, taken, tracked.poses, [_pose_block(tracked.poses)], described, tracked=tracked)
-            if isinstance(data, PoseDataConfig):  # in part, in the base frame
+            if data.kind == "poses":  # in part, in the base frame
                 blocks = [(one.values, one.covariance) for one in tracked.see()]
                 return self._join(data, taken, tracked.poses, blocks, described, tracked=tracked)
         seen, n = tracked.see(), 6
@@ -326,14 +321,14 @@ class InstrumentReader:
         taken: PoseRecords,
         poses: MeasuredPoses,
         blocks: Sequence[tuple[Array, Array]],
-        described: dict[str, Any],
+        described: Summary,
         tracker: Tracker | None = None,
         **others: Any,
     ) -> Measured:
         """Return readings of the actuators and blocks of readings: of the machine's pose, or of a tracker."""
         commands, q = self._commands if taken.actuators.shape[1] else (), len(self.machine.coordinates)
         enough = len(commands) == q or (len(commands) > q and len({one.unit for one in commands}) == 1)
-        name, channels = name_instrument(data), POSE_CHANNELS if tracker is None else tuple(tracker.channels)
+        name, channels = data.name, POSE_CHANNELS if tracker is None else tuple(tracker.channels)
         seen = channels if tracker is None else tuple(rename_channel(name, one) for one in channels)
         readings = _gather(enough, taken, blocks)
         return Measured(data, self.folder, readings, commands, seen, poses, described, tracker, **others)

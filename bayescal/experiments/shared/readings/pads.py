@@ -23,7 +23,6 @@ from bayescal.data.photogrammetry.joint_deflection import (
 from bayescal.data.photogrammetry.poses import PoseExtraction
 from bayescal.density.calibration.terms import CorrelatedNoise, ErrorTerm
 from bayescal.errors import InputError, PoseInputError, name_faults
-from bayescal.experiments.shared.readings.data_schema import TargetDataConfig
 from bayescal.experiments.shared.readings.measurement import Measured, TargetMeasurement
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import Mechanism
@@ -184,7 +183,7 @@ def look_at_pads(config: StudyConfig, measured: Sequence[Measured], machine: Rea
         return None
     from_targets, first = config.deformation.matrix == "targets", found[0]
     needed = from_targets and any(one.deformation == "matrix" for one in config.variants)
-    assert isinstance(first.data, TargetDataConfig)
+    assert first.data.kind == "targets"
     reference = str(first.folder / first.data.reference)
     seen = SeenPads(legs.machine.mechanism, first, needed, from_targets, reference)
     with name_faults(first.folder / first.data.file):

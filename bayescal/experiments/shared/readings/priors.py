@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from math import isfinite
 from typing import Protocol
 
 from bayescal.config.load import suggest
 from bayescal.density.priors import NormalPrior, Prior, UniformPrior
-from bayescal.density.schema import FixedConfig, NormalConfig, PriorConfig
+from bayescal.density.schema import FixedConfig, PriorConfig
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.schema import UnitsConfig
@@ -65,7 +66,7 @@ def choose_priors(
         if prior is None:
             continue
         factor = units.factor(block.unit)
-        if isinstance(prior, FixedConfig):
+        if prior.prior == "fixed":
             offsets = spread_over_legs(prior.offset, len(block.nominal), block.symbol)
             fixed |= {n: v + factor * o for n, v, o in zip(block.names, block.nominal, offsets, strict=True)}
         else:
@@ -121,9 +122,9 @@ def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str
 
 def _list_widths(block: ParameterBlock, prior: PriorConfig) -> list[float]:
     """Return the width of each member's prior as stated, zero of those that are known."""
-    if isinstance(prior, FixedConfig):
+    if prior.prior == "fixed":
         return [0.0] * len(block.nominal)
-    given = prior.sd if isinstance(prior, NormalConfig) else prior.half_width
+    given = prior.sd if prior.prior == "normal" else prior.half_width
     return spread_over_legs(given, len(block.nominal), block.symbol)
 
 
@@ -136,7 +137,7 @@ def _priors_of(block: ParameterBlock, prior: PriorConfig, factor: float) -> dict
             found = f"found a tolerance of {width:g}{'' if block.unit == '1' else f' {block.unit}'}"
             raise InputError(f"parameters.{block.symbol}: {found}, expected between {smallest:g} and {largest:g}")
     pairs = [one for one in zip(block.names, block.nominal, widths, strict=True) if one[2] > 0.0]
-    if isinstance(prior, NormalConfig):
+    if prior.prior == "normal":
         return {name: NormalPrior(value, width) for name, value, width in pairs}
     return {name: UniformPrior(value - width, value + width) for name, value, width in pairs}
 
@@ -160,10 +161,10 @@ def check_ranges(
         if not lower < prior.mean < upper:
             found = f"found {prior.mean:g}, expected a value between {lower:g} and {upper:g}"
             raise InputError(f"parameter {name}: {found}")
-        if isinstance(prior, UniformPrior) and (prior.lower < lower or prior.upper > upper):
+        low, high = prior.bounds
+        if isfinite(low) and (low < lower or high > upper):
             raise InputError(
-                f"parameter {name}: found a prior from {prior.lower:g} to {prior.upper:g}, expected "
-                f"it within {lower:g} to {upper:g}"
+                f"parameter {name}: found a prior from {low:g} to {high:g}, expected it within {lower:g} to {upper:g}"
             )
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from typing import Any
 
 import pandas as pd
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.knowledge_page import NO_TOOL, TOOL_ACTION
 from bayescal.experiments.shared.origin import name_origin
 from bayescal.experiments.shared.soundness import LEARNT
@@ -137,7 +137,7 @@ def show_data(study: StudyResults) -> PageSection | None:
     return PageSection("Data", (make_pairs("Measurements.", rows, notes),), anchor="data")
 
 
-def _list_readings(instrument: dict[str, Any], n_poses: int) -> list[list[str]]:
+def _list_readings(instrument: Summary, n_poses: int) -> list[list[str]]:
     """Return what an instrument read: coordinates of poses, or points by stations."""
     kind = str(instrument.get("instrument"))
     free = ", ".join(str(frame) for frame in instrument.get("free_frames", []))

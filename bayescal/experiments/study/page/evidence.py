@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.study.page.results import VARIANT, StudyResults
 from bayescal.experiments.study.page.soundness import list_failures, measure_gap
 from bayescal.experiments.study.page.styles import Styles, add_legend, assign_styles
@@ -81,7 +82,7 @@ def format_evidence(value: float, se: float) -> str:
     return format_estimate(value, se, min(3, max(2, count_decimals(se, 1))))
 
 
-def _tabulate(study: StudyResults, caption: str, describe: Callable[[Mapping[str, Any]], Row]) -> Table:
+def _tabulate(study: StudyResults, caption: str, describe: Callable[[Summary], Row]) -> Table:
     """Return a table with a row per posterior, of what is to be said of each."""
     rows: list[Row] = [[(VARIANT, study.label(name)), *describe(fit)] for name, fit in study.fits.items()]
     return make_table(caption, [column for column, _ in rows[0]], [[cell for _, cell in row] for row in rows])
@@ -93,7 +94,7 @@ def tabulate_evidence(study: StudyResults) -> Table:
     exact = any(fit.get("linearisation_log_shift") is not None for fit in fits)
     checked = any(fit.get("log_evidence_check") is not None for fit in fits)
 
-    def describe(fit: Mapping[str, Any]) -> Row:
+    def describe(fit: Summary) -> Row:
         gap, k = measure_gap(fit), fit["pareto_k"]
         row = [
             *(_estimate(fit, by) for by in ("importance", "bridge")),
@@ -109,14 +110,14 @@ def tabulate_evidence(study: StudyResults) -> Table:
     return _tabulate(study, f"{caption} {EXACT}" if exact else caption, describe)
 
 
-def _estimate(fit: Mapping[str, Any], by: str, title: str = "") -> tuple[Column, str | Cell]:
+def _estimate(fit: Summary, by: str, title: str = "") -> tuple[Column, str | Cell]:
     value, se = fit.get(f"log_evidence_{by}"), fit.get(f"log_evidence_{by}_se")
     return Column(title or by, "nat", "Log-evidence by"), NO_VALUE if value is None or se is None else format_evidence(
         value, se
     )
 
 
-def _describe_correction(fit: Mapping[str, Any]) -> Row:
+def _describe_correction(fit: Summary) -> Row:
     """Return by how much the exact density changes the evidence and how many of the moved draws count."""
     columns = Column("shift", "nat", "Exact density"), Column("ESS fraction", "%", "Exact density")
     if fit.get("linearisation_log_shift") is None:
@@ -141,7 +142,7 @@ def _limited(value: float, fine: bool, decimals: int) -> Cell:
 def _tabulate_diagnostics(study: StudyResults) -> Table:
     """Return convergence of every posterior."""
 
-    def describe(fit: Mapping[str, Any]) -> Row:
+    def describe(fit: Summary) -> Row:
         k, bulk, tail = fit["loo_pareto_k_max"], fit["ess_bulk_min"], fit["ess_tail_min"]
         ess_limits = (f"limit {format_fixed(limit, 0)}" for limit in (ESS_BULK_LIMIT, ESS_TAIL_LIMIT))
         bulk_column, tail_column = (

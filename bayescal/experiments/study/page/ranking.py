@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.headline import describe_candidate, order_candidates
 from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.study.page.evidence import format_evidence
@@ -78,7 +78,7 @@ def tabulate_ranking(study: StudyResults) -> Table:
     return make_table(caption, columns, rows, notes, "wide")
 
 
-def _compare(fit: dict[str, Any], behind: float, best: float) -> NamedCells:
+def _compare(fit: Summary, behind: float, best: float) -> NamedCells:
     """Return how far one of several variants is behind the best, in evidence, then by LOO; dashes if not converged."""
     error, compared = fit["elpd_loo_difference_se"], fit["converged"]
     loo = format_fixed(0.0, 1) if fit["elpd_loo"] == best else format_estimate(fit["elpd_loo"] - best, error, 1)
@@ -89,7 +89,7 @@ def _compare(fit: dict[str, Any], behind: float, best: float) -> NamedCells:
     ]
 
 
-def _describe(study: StudyResults, name: str, fit: dict[str, Any], behind: NamedCells) -> NamedCells:
+def _describe(study: StudyResults, name: str, fit: Summary, behind: NamedCells) -> NamedCells:
     """Return what one variant has, and how far it is ``behind`` the best where there are several."""
     bad = int(fit["n_loo_bad_k"])
     loo = format_estimate(fit["elpd_loo"], fit["elpd_loo_se"], 1)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.runner.results import NUMBER, SUMMARY_FILE, Kinds, Results, check_keys
+from bayescal.experiments.runner.results import NUMBER, SUMMARY_FILE, Kinds, Results, Summary, check_keys
 from bayescal.experiments.shared.headline import (
     Candidate,
     choose_best,
@@ -85,15 +85,15 @@ class ErrorScale(NamedTuple):
     factor: float
     unit: str
 
-    def read(self, errors: Mapping[str, Any] | None, which: str) -> float:
+    def read(self, errors: Summary | None, which: str) -> float:
         """Return the ``mean`` or ``max`` of a use's errors in that unit; NaN without."""
         return self.factor * get_number(errors[self.column], which) if errors else math.nan
 
-    def read_both(self, errors: Mapping[str, Any] | None) -> tuple[float, float]:
+    def read_both(self, errors: Summary | None) -> tuple[float, float]:
         """Return the mean and the largest one."""
         return self.read(errors, "mean"), self.read(errors, "max")
 
-    def format_both(self, errors: Mapping[str, Any] | None) -> str:
+    def format_both(self, errors: Summary | None) -> str:
         """Return both as a table shows them."""
         return format_pair(*self.read_both(errors), 2)
 
@@ -115,7 +115,7 @@ POSITION = ErrorScale("position", "position_error_mm", "position_bound_95_mm", M
 class StudyResults:
     """What a study left, as its page needs it."""
 
-    summary: dict[str, Any]  # with config: as JSON has them
+    summary: Summary  # with config: as JSON has them
     config: dict[str, Any]
     tables: Mapping[str, pd.DataFrame]  # those that have rows, by name
     # for each variant whose posterior file is there, the draws (S,) of each parameter
@@ -216,13 +216,13 @@ class StudyResults:
         """The variant to use."""
         return choose_best(self.summary)
 
-    def fit(self, variant: str) -> dict[str, Any]:
+    def fit(self, variant: str) -> Summary:
         """Return a variant's row of the summary."""
-        found: dict[str, Any] = self.summary["variants"][variant]
+        found: Summary = self.summary["variants"][variant]
         return found
 
     @property
-    def fits(self) -> dict[str, dict[str, Any]]:
+    def fits(self) -> dict[str, Summary]:
         """The rows of all variants, those of one set of data together, the best first."""
         return {name: self.fit(name) for name in self.names}
 
@@ -327,7 +327,7 @@ class StudyResults:
     # --- the machine and the data --------------------------------------------------------------------------------
 
     @property
-    def publication(self) -> dict[str, Any] | None:
+    def publication(self) -> Summary | None:
         """What the study repeats: ``source``, ``citation``, and where ``figures`` and ``notation`` are in it."""
         return self.summary.get("publication")
 
@@ -397,7 +397,7 @@ class StudyResults:
         return "verification" if self.n_verification else "calibration"
 
     @property
-    def instrument(self) -> dict[str, Any] | None:
+    def instrument(self) -> Summary | None:
         """What an instrument read that sees a platform on legs; None for photogrammetry and tables of readings."""
         return self.summary.get("instrument")
 
@@ -502,7 +502,7 @@ def _check_tables(tables: Mapping[str, pd.DataFrame], results: Path) -> None:
     check_tables(ROWS, tables, folder)
 
 
-def _check_summary(summary: dict[str, Any], path: Path) -> None:
+def _check_summary(summary: Summary, path: Path) -> None:
     check_keys(summary["n_poses"], dict.fromkeys(USES, NUMBER), path, "n_poses.")
     ranked = [name for names in summary["rankings"] for name in names]
     if not summary["variants"] or sorted(ranked) != sorted(summary["variants"]):

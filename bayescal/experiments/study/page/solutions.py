@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.study.page.results import MAX_SOLUTIONS, StudyResults
 from bayescal.report.blocks import Column, PageSection, Statement, make_section, make_table
 from bayescal.report.numbers import format_estimate, format_fixed, join_words, name_some
@@ -15,17 +13,17 @@ NAMED = 3  # parameters of a solution that a sentence names
 HOW = "Modes of the posterior; accuracy and functions: mode 1."
 
 
-def count_solutions(fit: Mapping[str, Any]) -> int:
+def count_solutions(fit: Summary) -> int:
     """Return how many solutions a variant's row of the summary has."""
     return max(len(fit.get("modes", [])), 1)
 
 
-def say_solutions(fit: Mapping[str, Any], asked: ChosenUnits = None) -> str:
+def say_solutions(fit: Summary, asked: ChosenUnits = None) -> str:
     """Return the solutions of a variant's row of the summary with their probabilities; empty where there is one."""
     return "; ".join(_say(k, one, asked) for k, one in enumerate(fit.get("modes", [])[:MAX_SOLUTIONS], start=1))
 
 
-def _say(number: int, one: Mapping[str, Any], asked: ChosenUnits) -> str:
+def _say(number: int, one: Summary, asked: ChosenUnits) -> str:
     words = []
     for name, (mean, sd, unit) in list(one["parameters"].items())[:NAMED]:
         factor, shown = shown_in(unit, asked)

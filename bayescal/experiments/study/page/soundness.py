@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Collection
 
 from scipy import stats
 
+from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.slips import EITHER, LARGE, split_advice, state_denied, state_slip
 from bayescal.experiments.shared.soundness import ChiSquare
 from bayescal.experiments.study.page.results import NOISE, StudyResults, get_number
@@ -253,12 +253,12 @@ def list_failures(study: StudyResults) -> list[Statement]:
     return failures
 
 
-def measure_gap(fit: Mapping[str, Any]) -> float:
+def measure_gap(fit: Summary) -> float:
     """Return how far the two log-evidences of a posterior lie apart."""
     return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
 
 
-def is_sound(fit: Mapping[str, Any]) -> bool:
+def is_sound(fit: Summary) -> bool:
     """Whether a posterior passed its checks."""
     return bool(fit["converged"]) and not fit["problems"] and measure_gap(fit) <= AGREEMENT
 
