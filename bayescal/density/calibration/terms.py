@@ -16,7 +16,7 @@ keys of its ``Config``.
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -408,9 +408,10 @@ class ErrorModel:
         """Return the same with other terms in the places of those of a class."""
         return replace(self, terms=tuple(to(one) if isinstance(one, kind) else one for one in self.terms))
 
-    def without(self, terms: Container[ErrorTerm]) -> Self:
-        """Return the same without some terms."""
-        return replace(self, terms=tuple(one for one in self.terms if one not in terms))
+    def without(self, terms: Iterable[ErrorTerm]) -> Self:
+        """Return the same without some terms, which are compared by identity: user-defined ones may hold arrays."""
+        left_out = {id(one) for one in terms}
+        return replace(self, terms=tuple(one for one in self.terms if id(one) not in left_out))
 
     # --- sizes over draws --------------------------------------------------------------------------------------------
 

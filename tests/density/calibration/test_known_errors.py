@@ -150,3 +150,18 @@ def test_functions_beside_them_leave_the_density_of_all_rows(problem):
     sd = second.std(axis=0)
     assert (np.abs(first.mean(axis=0) - second.mean(axis=0)) < 6.5 * sd / np.sqrt(DRAWS)).all()
     np.testing.assert_allclose(first.std(axis=0), sd, rtol=0.05)
+
+
+def test_terms_that_hold_arrays_are_told_apart():
+    @dataclass
+    class Shared(ErrorTerm):  # as a user writes it: its equality compares arrays
+        each: np.ndarray
+        names = units = priors = ()
+
+        def columns(self, zeta, data):
+            return self.each[data.order][None]
+
+    one, other = (Shared(np.ones((4, 2, 3))) for _ in range(2))
+    errors = ErrorModel((one, other))
+    assert [term is other for term in errors.without([one]).terms] == [True]
+    assert errors.without(errors.common).terms == ()
