@@ -39,16 +39,10 @@ if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
     from bayescal.calibrated.machine import CalibratedMachine as CalibratedMachine
     from bayescal.calibrated.predict import compensate_poses as compensate_poses
     from bayescal.calibrated.predict import predict_poses as predict_poses
-    from bayescal.config.sections import ExperimentConfig as ExperimentConfig
-    from bayescal.config.sections import InputFile as InputFile
     from bayescal.config.sections import Section as Section
     from bayescal.config.trust import trust as trust
     from bayescal.data.reader import TableReader as TableReader
-    from bayescal.density.calibration.measurements import Measurements as Measurements
     from bayescal.density.calibration.terms import ErrorTerm as ErrorTerm
-    from bayescal.density.priors import HalfNormalPrior as HalfNormalPrior
-    from bayescal.density.priors import NormalPrior as NormalPrior
-    from bayescal.density.priors import UniformPrior as UniformPrior
     from bayescal.errors import (
         BayescalError as BayescalError,
     )
@@ -58,17 +52,9 @@ if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
     from bayescal.errors import (
         NumericalError as NumericalError,
     )
-    from bayescal.experiments.runner.blocks import PageBlock as PageBlock
-    from bayescal.experiments.runner.experiment import Experiment as Experiment
     from bayescal.experiments.runner.load import load_experiment as load_experiment
-    from bayescal.experiments.runner.results import Results as Results
     from bayescal.experiments.shared.calibrating import load_calibrated as load_calibrated
-    from bayescal.files.csv_tables import read_table as read_table
-    from bayescal.inference.samplers import Sampler as Sampler
-    from bayescal.inference.samplers import SamplingResult as SamplingResult
     from bayescal.machine_files import load_machine as load_machine
-    from bayescal.machines.deformations import Deformation as Deformation
-    from bayescal.machines.models import KinematicModel as KinematicModel
     from bayescal.machines.parameters import ParameterBlock as ParameterBlock
     from bayescal.machines.readings import (
         Channel as Channel,
@@ -82,16 +68,6 @@ if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
     from bayescal.machines.readings import (
         ReadingMachine as ReadingMachine,
     )
-    from bayescal.machines.sensors import Sensor as Sensor
-    from bayescal.pose_selection import Criterion as Criterion
-    from bayescal.pose_selection import SelectionMethod as SelectionMethod
-    from bayescal.report.blocks import Column as Column
-    from bayescal.report.blocks import Page as Page
-    from bayescal.report.blocks import make_section as make_section
-    from bayescal.report.blocks import make_table as make_table
-    from bayescal.report.numbers import format_estimate as format_estimate
-    from bayescal.report.numbers import format_fixed as format_fixed
-    from bayescal.report.numbers import format_significant as format_significant
     from bayescal.results import (
         LoadedResults as LoadedResults,
     )
@@ -132,30 +108,6 @@ _HOMES = {
     "TableReader": "bayescal.data.reader",
     "ErrorTerm": "bayescal.density.calibration.terms",
     "Section": "bayescal.config.sections",
-    "KinematicModel": "bayescal.machines.models",
-    "Deformation": "bayescal.machines.deformations",
-    "Sensor": "bayescal.machines.sensors",
-    "Criterion": "bayescal.pose_selection",
-    "SelectionMethod": "bayescal.pose_selection",
-    "Sampler": "bayescal.inference.samplers",
-    "SamplingResult": "bayescal.inference.samplers",
-    "Measurements": "bayescal.density.calibration.measurements",
-    "HalfNormalPrior": "bayescal.density.priors",
-    "NormalPrior": "bayescal.density.priors",
-    "UniformPrior": "bayescal.density.priors",
-    "PageBlock": "bayescal.experiments.runner.blocks",
-    "Column": "bayescal.report.blocks",
-    "Page": "bayescal.report.blocks",
-    "make_section": "bayescal.report.blocks",
-    "make_table": "bayescal.report.blocks",
-    "format_estimate": "bayescal.report.numbers",
-    "format_fixed": "bayescal.report.numbers",
-    "format_significant": "bayescal.report.numbers",
-    "Experiment": "bayescal.experiments.runner.experiment",
-    "Results": "bayescal.experiments.runner.results",
-    "ExperimentConfig": "bayescal.config.sections",
-    "InputFile": "bayescal.config.sections",
-    "read_table": "bayescal.files.csv_tables",
     "BayescalError": "bayescal.errors",
     "InputError": "bayescal.errors",
     "NumericalError": "bayescal.errors",

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 import bayescal as bc
+import bayescal.extend as bx
 
 type Array = npt.NDArray[np.float64]
 
@@ -62,14 +63,14 @@ class Gauge(bc.Instrument):
 class Vibration(bc.ErrorTerm):
     """Noise that all channels have beside what is stated."""
 
-    names, units, priors = ("vibration",), ("mm",), (bc.HalfNormalPrior(0.01),)
+    names, units, priors = ("vibration",), ("mm",), (bx.HalfNormalPrior(0.01),)
 
-    def variance(self, zeta: Array, data: bc.Measurements) -> Array:
+    def variance(self, zeta: Array, data: bx.Measurements) -> Array:
         """Return its variance."""
         return np.broadcast_to(self.natural(zeta)[:, :, None] ** 2, (len(zeta), *data.sd.shape))
 
 
-class GaugeBlock(bc.Sensor):
+class GaugeBlock(bx.Sensor):
     """What sees the height of the platform alone."""
 
     def __init__(self, config: bc.Section) -> None:
@@ -81,7 +82,7 @@ class GaugeBlock(bc.Sensor):
         return np.broadcast_to(np.diag([0.0, 0.0, 1e4, 0.0, 0.0, 0.0]), (len(position), 6, 6)).copy()
 
 
-class First(bc.SelectionMethod):
+class First(bx.SelectionMethod):
     """The first candidates."""
 
     name, title, source = "first", "The first candidates", "Nobody"
@@ -95,56 +96,56 @@ class First(bc.SelectionMethod):
         return self._from_candidates(problem, np.arange(problem.n), [0.0], 1, "nothing to search")
 
 
-class Prior(bc.Sampler):
+class Prior(bx.Sampler):
     """Draws of the prior."""
 
-    def sample(self, task: Any) -> bc.SamplingResult:
+    def sample(self, task: Any) -> bx.SamplingResult:
         """Return them as two runs."""
         rng = np.random.default_rng(task.seed)
-        return bc.SamplingResult(task.collect(np.stack([task.draw_prior(500, rng) for _ in range(2)])))
+        return bx.SamplingResult(task.collect(np.stack([task.draw_prior(500, rng) for _ in range(2)])))
 
 
-class Lengths(bc.PageBlock):
+class Lengths(bx.PageBlock):
     """What the lengths are."""
 
-    def show(self, results: bc.Results) -> Any:
+    def show(self, results: bx.Results) -> Any:
         """Return a section of the page."""
-        columns = [bc.Column("Link", kind="name"), bc.Column("sd", "mm")]
+        columns = [bx.Column("Link", kind="name"), bx.Column("sd", "mm")]
         rows = [
-            [str(row["parameter"]), bc.format_significant(row["sd"])]
+            [str(row["parameter"]), bx.format_significant(row["sd"])]
             for row in results.table("parameters").to_dict("records")
         ]
-        said = f"{bc.format_estimate(1.0, 0.1)}, {bc.format_fixed(1.0, 1)}"
-        return bc.make_section("Lengths", (said,), (bc.make_table("Lengths.", columns, rows),))
+        said = f"{bx.format_estimate(1.0, 0.1)}, {bx.format_fixed(1.0, 1)}"
+        return bx.make_section("Lengths", (said,), (bx.make_table("Lengths.", columns, rows),))
 
 
-class HeightsConfig(bc.ExperimentConfig):
+class HeightsConfig(bx.ExperimentConfig):
     """A table of heights."""
 
-    heights: bc.InputFile
+    heights: bx.InputFile
 
 
-class Heights(bc.Experiment[HeightsConfig, Array]):
+class Heights(bx.Experiment[HeightsConfig, Array]):
     """The mean of heights."""
 
     schema = HeightsConfig
 
     def read(self, config: HeightsConfig, folder: Path) -> Array:
         """Return the heights."""
-        return bc.read_table(folder / config.heights, ("z_mm",)).numbers(("z_mm",))
+        return bx.read_table(folder / config.heights, ("z_mm",)).numbers(("z_mm",))
 
-    def compute(self, inputs: Array, run: Any) -> bc.Results:
+    def compute(self, inputs: Array, run: Any) -> bx.Results:
         """Return their mean."""
         del run
-        return bc.Results({"mean": float(inputs.mean())})
+        return bx.Results({"mean": float(inputs.mean())})
 
-    def page(self, results: bc.Results) -> bc.Page:
+    def page(self, results: bx.Results) -> bx.Page:
         """Return the page."""
-        return bc.Page("Heights", "heights", "Heights", "", str(results.summary["mean"]), (), ())
+        return bx.Page("Heights", "heights", "Heights", "", str(results.summary["mean"]), (), ())
 
 
-PRIORS = (bc.NormalPrior(0.0, 1.0), bc.UniformPrior(0.0, 1.0))
-MADE: tuple[type, ...] = (bc.KinematicModel, bc.Deformation, bc.Criterion)
+PRIORS = (bx.NormalPrior(0.0, 1.0), bx.UniformPrior(0.0, 1.0))
+MADE: tuple[type, ...] = (bx.KinematicModel, bx.Deformation, bx.Criterion)
 
 
 def calibrate(folder: Path) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import bayescal
+from bayescal import extend
 
 HERE = Path(__file__).parent
 
@@ -52,3 +53,4 @@ def test_a_user_s_script_passes_pyright_beside_the_package_as_installed(tmp_path
 def test_the_script_names_all_that_is_public():
     text = (HERE / "script.py").read_text()
     assert [name for name in bayescal.__all__ if f"bc.{name}" not in text] == []
+    assert [name for name in extend.__all__ if f"bx.{name}" not in text and f"bc.{name}" not in text] == []

@@ -93,7 +93,7 @@ class ReadingPlan:
     common: dict[str, tuple[str, ...]]
     workspace: Workspace
     truth: Array | None
-    seen: SeenTool | None = None  # by an instrument whose files have poses or points, in place of channels
+    seen: SeenTool | None = None  # by an instrument whose files have poses or points
 
     @property
     def layout(self) -> ParameterLayout:
