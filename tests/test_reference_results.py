@@ -5,6 +5,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -57,16 +58,19 @@ def test_results_are_those_of_the_committed_config(name):
         assert json.loads((results / file).read_text())["config_sha256"] == current
 
 
+QUOTED = re.compile(r"\| ([\d.]+) ± ([\d.]+) \| ([\d.]+) \| ([\d.]+) / ([\d.]+) µm \| ([\d.]+) mm rms")
+ROUNDED = np.array([0.01, 0.01, 0.1, 0.1, 0.1, 0.1])
+"""Last digits of what is quoted, within which results of another computer are the same."""
+
+
 def test_documentation_quotes_the_results(summary):
-    page = (DOCS / "reproductions" / "rr8096.md").read_text()
-    for fit in summary["variants"].values():
+    quoted = np.array(QUOTED.findall((DOCS / "reproductions" / "rr8096.md").read_text()), dtype=float)
+    assert len(quoted) == len(summary["variants"])
+    for name, fit in summary["variants"].items():
         error = fit["verification"]["position_error_mm"]
-        row = (
-            rf"{fit['log_evidence']:.2f} ± {fit['log_evidence_se']:.2f} \| {fit['elpd']:.1f} "
-            rf"\| {1e3 * error['mean']:.1f} / {1e3 * error['max']:.1f} µm "
-            rf"\| {fit['distance_from_nominal_mm']:.1f} mm rms"
-        )
-        assert re.search(row, page), row
+        found = [fit["log_evidence"], fit["log_evidence_se"], fit["elpd"], 1e3 * error["mean"], 1e3 * error["max"]]
+        off = np.abs(quoted - [*found, fit["distance_from_nominal_mm"]])
+        assert (off <= ROUNDED).all(axis=1).any(), name
 
 
 @pytest.mark.parametrize("name", STUDIES)
