@@ -60,7 +60,9 @@ def test_results_are_those_of_the_committed_config(name):
 
 QUOTED = re.compile(r"\| ([\d.]+) ± ([\d.]+) \| ([\d.]+) \| ([\d.]+) / ([\d.]+) µm \| ([\d.]+) mm rms")
 ROUNDED = np.array([0.01, 0.01, 0.1, 0.1, 0.1, 0.1])
-"""Last digits of what is quoted, within which results of another computer are the same."""
+"""Last digits of what is quoted."""
+SAMPLED = np.array([0.0, 0.0, 0.0, 0.02, 0.02, 0.0])
+"""Shares by which another computer's draws move it: of `make study`, which replaces the committed results."""
 
 
 def test_documentation_quotes_the_results(summary):
@@ -70,7 +72,7 @@ def test_documentation_quotes_the_results(summary):
         error = fit["verification"]["position_error_mm"]
         found = [fit["log_evidence"], fit["log_evidence_se"], fit["elpd"], 1e3 * error["mean"], 1e3 * error["max"]]
         off = np.abs(quoted - [*found, fit["distance_from_nominal_mm"]])
-        assert (off <= ROUNDED).all(axis=1).any(), name
+        assert (off <= ROUNDED + SAMPLED * quoted).all(axis=1).any(), name
 
 
 @pytest.mark.parametrize("name", STUDIES)
