@@ -31,8 +31,8 @@ from bayescal.density.calibration.terms import NO_ERRORS
 from bayescal.experiments.next_pose.compute import State, find_state
 from bayescal.experiments.next_pose.inputs import MeasuredVariant, read_next_pose
 from bayescal.experiments.runner.load import load
-from bayescal.experiments.shared.leg_readings import place_legs
 from bayescal.experiments.shared.measured import MeasuredReadings
+from bayescal.experiments.shared.pose_readings import build_pose_readings
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.kinematics import ForwardKinematics, Machine, solve_forward_kinematics
 from bayescal.machines.readings import Legs
@@ -170,7 +170,9 @@ def join(one: MeasuredPoses | None, other: MeasuredPoses) -> MeasuredPoses:
 def find(problem: Problem, poses: MeasuredPoses, start: Array | None) -> State:
     """Return what is known after poses, updated from a mode."""
     old = problem.measured.posterior
-    found = place_legs(problem.model, poses, problem.actuator_noise, old.priors, old.errors, old.fixed).posterior
+    found = build_pose_readings(
+        problem.model, poses, problem.actuator_noise, old.priors, old.errors, old.fixed
+    ).posterior
     likelihood = replace(found.likelihood, straight=True)
     measured = replace(problem.measured, posterior=replace(found, likelihood=likelihood))
     return find_state(replace(problem.subject, measured=measured), start, DRAWS, SEED)

@@ -27,7 +27,7 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior  # noqa
 from bayescal.density.calibration.model_error import RandomTerm  # noqa: E402
 from bayescal.density.calibration.terms import ErrorModel  # noqa: E402
 from bayescal.density.priors import NormalPrior  # noqa: E402
-from bayescal.experiments.shared.leg_readings import place_legs  # noqa: E402
+from bayescal.experiments.shared.pose_readings import build_pose_readings  # noqa: E402
 from bayescal.files.csv_tables import read_matrix  # noqa: E402
 from bayescal.machines.deformations import MatrixDeformation  # noqa: E402
 from bayescal.machines.kinematics import Machine, solve_forward_kinematics  # noqa: E402
@@ -73,7 +73,7 @@ class Problem:
         own = np.eye(12, dtype=bool)[: 6 if model_error else 0]
         terms = [RandomTerm(f"tau[{leg}]", one, MODEL_ERROR_SCALE, "mm", np.ones(12)) for leg, one in enumerate(own, 1)]
         chosen = self.priors() if priors is None else priors
-        found = place_legs(
+        found = build_pose_readings(
             Legs(self.machine), self.poses, ACTUATOR_NOISE, chosen, ErrorModel(tuple(terms)), {}
         ).posterior
         return replace(found, likelihood=replace(found.likelihood, straight=True)).with_pose_guesses()
