@@ -223,8 +223,8 @@ def test_a_figure_tells_its_values_and_what_is_seen():
     assert markup.startswith("<svg ")
     assert "<title>&lt;beam&gt;; Error (µm) 8.6</title>" in markup
     assert "<title>τ = 0; six_pus; Error (µm) 1</title>" in markup
-    told = r'aria-label="[^"]*Error \(µm\)[^"]* 0 to 9;[^"]*six_pus and &lt;beam&gt;;[^"]*τ = 0\."'
-    assert re.search(told, markup)
+    label = r'aria-label="[^"]*Error \(µm\)[^"]* 0 to 9;[^"]*six_pus and &lt;beam&gt;;[^"]*τ = 0\."'
+    assert re.search(label, markup)
     ids = re.findall(r' id="([^"]+)"', markup)
     assert ids
     assert all(one.startswith("errors-") for one in ids)

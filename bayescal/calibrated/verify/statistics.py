@@ -37,7 +37,6 @@ from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
 SIMULATED = 100_000
 """Tests simulated for a threshold: a false alarm of 1 % is met to 0.03 %."""
-LENGTH = "l"
 SHOWN = {"mm": ("µm", MICROMETRE), "rad": ("arcsec", ARCSECOND)}
 UNITLESS = {"1": ("", 1.0)}
 SEEN = 1e-9

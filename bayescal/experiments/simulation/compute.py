@@ -113,7 +113,7 @@ class ReadingPlan:
     @property
     def width(self) -> int:
         """How many numbers are simulated of each."""
-        return len(self.model.channels) + (0 if self.seen is None else self.seen.width)
+        return len(self.model.channels) + (0 if self.seen is None else DEGREES_OF_FREEDOM)
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and the true parameters (D,)."""
@@ -168,11 +168,6 @@ class SeenTool:
     config: PlatformInstrumentConfig
     folder: Path
     frames: Array  # (S + 1, 6): true ones of stations and probe, mm and rad
-
-    @property
-    def width(self) -> int:
-        """About how many numbers it leaves of each pose."""
-        return DEGREES_OF_FREEDOM
 
     def extend(self, layout: ParameterLayout) -> ParameterLayout:
         """Return a machine's parameters with those of the frames."""
@@ -240,7 +235,8 @@ def plan_readings(config: SimulationConfig, folder: Path) -> ReadingPlan:
     check_optional(whole.pick(chosen), [one for name in priors for one in common.get(name, (name,))])
     truth = read_truth(config, whole.layout, folder)
     workspace = build_workspace(whole, config.workspace, config.units)
-    model, seen = whole.pick(chosen), _read_instrument(config, whole.pick(chosen), folder)
+    model = whole.pick(chosen)
+    seen = _read_instrument(config, model, folder)
     return ReadingPlan(config, model, noise[chosen], priors, fixed, common, workspace, truth, seen)
 
 

@@ -406,7 +406,7 @@ class InstrumentedMachine(ReadingModel):
     # --- the tool's pose ---------------------------------------------------------------------------------------------
 
     def place_tool(self, theta: Array, pose: Array) -> Array:
-        """Return position and rotation vector (..., 6) of the tool at poses (..., q); a rotation not told is zero."""
+        """Return position and rotation vector (..., 6) of the tool at poses (..., q); an unknown rotation is zero."""
         return self._place_tool(self.whole.tool_values(self._split(theta)[0], pose), pose)
 
     def _place_tool(self, numbers: Array, pose: Array) -> Array:
