@@ -25,7 +25,8 @@ from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.errors import InputError
 from bayescal.identifiability.information import root_of
 from bayescal.machines.readings import Channel
-from bayescal.machines.readings.base import NO_CONDITIONS, Given, solve
+from bayescal.machines.readings.base import NO_CONDITIONS, Given
+from bayescal.machines.readings.newton import solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300

@@ -31,7 +31,7 @@ from bayescal.density.calibration.measurements import Comparison, Measurements
 from bayescal.density.linear_gaussian import whiten
 from bayescal.errors import InputError
 from bayescal.machines.readings import Given
-from bayescal.machines.readings.base import Function, solve
+from bayescal.machines.readings.newton import Function, solve
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 

@@ -29,7 +29,6 @@ from bayescal.machines.readings.base import (
     Given,
     ReadingModel,
     Readings,
-    colour,
     draw_points,
     hand_on,
 )
@@ -341,6 +340,25 @@ class _Steps:
     rounds: np.ndarray
     rows: np.ndarray
     entries: np.ndarray
+
+
+def colour(pattern: np.ndarray) -> np.ndarray:
+    """Return a colour for each column of a pattern (K, n), so that columns of one colour share no row; -1 for none.
+
+    Greedy, the fullest columns first (Curtis, Powell and Reid 1974).
+    """
+    colours = np.full(pattern.shape[1], -1)
+    taken: list[np.ndarray] = []
+    for column in np.argsort(-pattern.sum(axis=0), kind="stable"):
+        own = pattern[:, column]
+        if not own.any():
+            continue
+        free = next((k for k, rows in enumerate(taken) if not (rows & own).any()), len(taken))
+        if free == len(taken):
+            taken.append(np.zeros(len(own), dtype=bool))
+        taken[free] |= own
+        colours[column] = free
+    return colours
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,8 @@ from bayescal.machines.readings.base import (
     Given,
     ReadingModel,
     Readings,
-    locate_pose,
 )
+from bayescal.machines.readings.newton import locate_pose
 from bayescal.numerics.geometry import (
     Array,
     compute_left_jacobian,

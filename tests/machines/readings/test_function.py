@@ -13,7 +13,7 @@ from sliding_platforms import sliding_star, star_of
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, Coordinate, FunctionModel, ReadingMachine
-from bayescal.machines.readings.base import colour
+from bayescal.machines.readings.function import colour
 from bayescal.numerics.analytic import absolute, atan2, norm
 
 
