@@ -66,6 +66,10 @@ class Move:
         """Return the map that leads on by a vector (n,)."""
         return Move(self.centre, self.mean + by, self.matrix)
 
+    def then(self, other: Move) -> Move:
+        """Return the map that leads by this one, and on by another."""
+        return Move(self.centre, other(self.mean[None])[0], other.matrix @ self.matrix)
+
 
 @dataclass(frozen=True, eq=False)
 class Correction:
@@ -174,6 +178,14 @@ def correct(
     return best
 
 
+def weigh_moved(density: CostlyDensity, move: Move, draws: Array, enough: float) -> Correction:
+    """Return what draws (B, n) of the explored density, moved by a map, say of the costly one.
+
+    No more of them are weighed than are enough for a standard error of the log-ratio.
+    """
+    return _summarise(move, _weigh(density, move, draws[:WEIGHED], enough))
+
+
 def _weigh(density: CostlyDensity, move: Move, draws: Array, enough: float) -> Array:
     """Return the log-weights of moved draws (B, n), or of as many as are enough for that error."""
     if not enough:
@@ -235,10 +247,12 @@ def correct_draws(
     return correct(costly, draws[chosen], modes[chosen], covariance, WEIGHED)
 
 
-def correct_evidence(costly: CostlyDensity, exploration: Exploration, seed: np.random.SeedSequence) -> Correction:
-    """Return the correction from some draws of the proposal."""
+def correct_evidence(
+    costly: CostlyDensity, exploration: Exploration, seed: np.random.SeedSequence, enough: float = KNOWN_ENOUGH
+) -> Correction:
+    """Return the correction from some draws of the proposal, to a standard error in nats that is enough."""
     drawn = draw_to_correct(exploration, np.random.default_rng(seed), USED // 2, PROPOSED_AT_ONCE)
-    return correct(costly, *drawn, WEIGHED_AT_ONCE, PER_COORDINATE_AT_ONCE, KNOWN_ENOUGH)
+    return correct(costly, *drawn, WEIGHED_AT_ONCE, PER_COORDINATE_AT_ONCE, enough)
 
 
 def draw_to_correct(

@@ -330,11 +330,14 @@ class PoseElimination:
         found.pose[going], found.error[going], found.slope[going] = pose, left, slope
         return np.asarray(size)
 
-    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
-        """Return white errors (C, P, K) of machines (C, D) at poses (C, P, q)."""
+    def subtract_read(self, theta: Array, pose: Array) -> Array:
+        """Return readings less those of machines (C, D) at poses (C, P, q), (C, P, K); zero for those not taken."""
         read = self._near.read(theta[:, None], pose, self._given)
-        error = self.comparison.subtract(self.data.values, read)
-        return white.vector(np.where(self.data.present, error, 0.0))
+        return np.where(self.data.present, self.comparison.subtract(self.data.values, read), 0.0)
+
+    def _errors(self, theta: Array, pose: Array, white: Whitening) -> Array:
+        """Return the same white."""
+        return white.vector(self.subtract_read(theta, pose))
 
     def _follow_chords(self, found: PoseEstimate, theta: Array, white: Whitening, near: PoseExpansion) -> np.ndarray:
         """Move machines by chords, each by itself; return which of them have no H that is good enough.

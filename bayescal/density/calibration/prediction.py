@@ -9,12 +9,13 @@ import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.poses import PoseEstimate
-from bayescal.density.elimination import find_step
+from bayescal.density.elimination import Whitening, factorise, find_step, solve_step, subtract_step
 from bayescal.density.prediction import Prediction, summarise_errors
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
 PER_PARAMETER, RANK = 4, 1e-10  # draws for each parameter that regression on these takes; of singular values
+STRAIGHT = 1e-3  # deviations of a reading that a second step may move by where H is the same all the way
 NOT_DETERMINED = "other readings do not determine the pose"
 """Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
@@ -77,23 +78,67 @@ def predict_readings(
     for place in np.flatnonzero(predicted):
         others = _apart(held, int(place)) & (True if by is None else by)
         groups.setdefault(others.tobytes(), []).append(int(place))
+    mean, spread = np.full((2, len(y), *held.data.values.shape), np.nan)
+    for part in held.batches(len(y)):
+        standing = _Standing.find(posterior, held, y[part])
+        for key, channels in groups.items():
+            others = np.frombuffer(key, dtype=bool)
+            where = np.flatnonzero(_is_predicted(held, channels, others))
+            if len(where):
+                predicted_there = _predict(
+                    posterior, standing.pick(where), channels, others, common[part][:, where], rng
+                )
+                at = np.ix_(range(len(y))[part], where, channels)
+                mean[at], spread[at] = predicted_there
     for key, channels in groups.items():
         others = np.frombuffer(key, dtype=bool)
-        there = held.data.present[:, others].sum(axis=1)
+        there, told = held.data.present[:, others].sum(axis=1), _is_predicted(held, channels, others)
         for channel in channels:
-            for pose in np.flatnonzero(held.data.present[:, channel] & (there < q)):
-                lost.append((int(pose), channel, f"{there[pose]} other readings for {q} coordinates"))
-        where = np.flatnonzero(held.data.present[:, channels].any(axis=1) & (there >= q))
-        if not len(where):
-            continue
-        found = _predict(posterior, held.pick(where), channels, others, y, common[:, where], rng)
-        for channel, mean, spread in zip(channels, *found, strict=True):
-            known, here = np.isfinite(mean + spread).all(axis=0), held.data.present[where, channel]
-            lost += [(int(pose), channel, NOT_DETERMINED) for pose in where[here & ~known]]
-            told = here & known
-            if told.any():
-                parts.append((where[told], channel, mean[:, told], spread[:, told]))
+            here = held.data.present[:, channel]
+            known = np.isfinite(mean[..., channel] + spread[..., channel]).all(axis=0)
+            lost += [
+                (int(k), channel, f"{there[k]} other readings for {q} coordinates")
+                for k in np.flatnonzero(here & ~told)
+            ]
+            lost += [(int(k), channel, NOT_DETERMINED) for k in np.flatnonzero(here & told & ~known)]
+            found = np.flatnonzero(here & told & known)
+            if len(found):
+                parts.append((found, channel, mean[:, found, channel], spread[:, found, channel]))
     return replace(_collect(held, parts), lost=tuple(lost))
+
+
+def _is_predicted(held: CalibrationLikelihood, channels: Sequence[int], others: np.ndarray) -> np.ndarray:
+    """Return at which poses (P,) some of the channels were read, and enough others to tell the pose."""
+    told = held.data.present[:, others].sum(axis=1) >= len(held.model.coordinates)
+    return np.asarray(held.data.present[:, channels].any(axis=1) & told)
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """T machines at held-back poses, where all readings there put them."""
+
+    held: CalibrationLikelihood
+    y: Array  # (T, n)
+    theta: Array  # (T, D)
+    own: Array  # with tau, the noise's deviations, (T, P, K)
+    tau: Array
+    near: tuple[Array, Array, Array]  # poses (T, P, q), with `PoseElimination.linearise_raw` there
+
+    @classmethod
+    def find(cls, posterior: CalibrationPosterior, held: CalibrationLikelihood, y: Array) -> _Standing:
+        """Return where draws (T, n) of a posterior stand."""
+        theta, (own, tau) = posterior.theta(y), held.noise(posterior.errors, posterior.zeta(y))
+        white = held.whiten(own, tau)
+        pose = held.stand(theta, white, held.approach_poses(theta, white)).pose
+        error, slope, _ = held.linearise_raw(theta, pose)
+        own, tau = (np.broadcast_to(one, error.shape) for one in (own, tau))
+        return cls(held, y, theta, own, tau, (pose, error, slope))
+
+    def pick(self, where: np.ndarray) -> _Standing:
+        """Return them at some of the poses."""
+        pose, error, slope = (one[:, where] for one in self.near)
+        own, tau = self.own[:, where], self.tau[:, where]
+        return _Standing(self.held.pick(where), self.y, self.theta, own, tau, (pose, error, slope))
 
 
 def predict_poses(
@@ -215,42 +260,56 @@ def _apart(held: CalibrationLikelihood, channel: int) -> np.ndarray:
 
 def _predict(
     posterior: CalibrationPosterior,
-    held: CalibrationLikelihood,
+    standing: _Standing,
     channels: Sequence[int],
     others: np.ndarray,
-    y: Array,
     common: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Return means and noisy values of C channels by the others, both (C, T, P); common errors by draws (T, P, K)."""
+    """Return means and noisy values (T, P, C) of C channels by the others; common errors by draws (T, P, K)."""
+    held, own, tau = standing.held, standing.own, standing.tau
+    tails = posterior.errors.tails(posterior.zeta(standing.y))
     rest = replace(held, data=held.data.only(others), expansion=None)
-    theta, tails = posterior.theta(y), posterior.errors.tails(posterior.zeta(y))
-    own, tau = held.noise(posterior.errors, posterior.zeta(y))
-    mean, spread = (np.empty((len(channels), len(y), held.data.n_poses)) for _ in range(2))
-    given = {name: value[None] for name, value in held.data.given.items()}
-    for part in rest.batches(len(y)):
-        white = rest.whiten(own[part], tau[part])
-        at = rest.stand(theta[part], white, rest.approach_poses(theta[part], white))
-        here = held.model.near(held.data.values).linearise(theta[part][:, None], at.pose, False, given)
-        error = held.comparison.subtract(held.data.values, here.values)
-        slopes = held.comparison.pull_back(error, here.values, here.by_pose)
-        error_left, moved = at.error, np.zeros(at.pose.shape)
-        if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
-            moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common[part], 0.0)))
-            error_left = at.error - left
-        square = np.einsum("tpk,tpk->tp", error_left, error_left)
-        for k, channel in enumerate(channels):
-            slope = slopes[..., channel, :]
-            shift = common[part][..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
-            # what the others' noise tells of this reading's, as in Gaussian regression
-            told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
-            slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
-            own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
-            variance = _spread_of_pose(slope, at) + own_noise
-            predicted = held.data.values[:, channel] - error[..., channel] + shift
-            mean[k, part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
-            spread[k, part] = np.sqrt(variance * tails.pick(part).draw_widening(square, rest.n_spare, rng))
+    white = rest.whiten(own, tau)
+    at, error, slopes = _stand_by(rest, standing, white)
+    error_left, moved = at.error, np.zeros(at.pose.shape)
+    if posterior.errors.has_columns:  # what errors common to all rows make of the pose, to first order
+        moved, left = find_step(at.slope, white.vector(np.where(rest.data.present, common, 0.0)))
+        error_left = at.error - left
+    square = np.einsum("tpk,tpk->tp", error_left, error_left)
+    mean, spread = np.empty((2, *at.pose.shape[:2], len(channels)))
+    for k, channel in enumerate(channels):
+        slope = slopes[..., channel, :]
+        shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
+        # what the others' noise tells of this reading's, as in Gaussian regression
+        told_by = white.vector(_covary(held, own, channel, rest.data.present))
+        slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
+        own_noise = own[..., channel] ** 2 + tau[..., channel] ** 2 - (told_by**2).sum(axis=-1)
+        variance = _spread_of_pose(slope, at) + own_noise
+        predicted = held.data.values[:, channel] - error[..., channel] + shift
+        mean[..., k] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
+        spread[..., k] = np.sqrt(variance * tails.draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
+
+
+def _stand_by(rest: CalibrationLikelihood, standing: _Standing, white: Whitening) -> tuple[PoseEstimate, Array, Array]:
+    """Return where some of the readings put the machines, with the errors (T, P, K) of all readings and H there.
+
+    All readings put them close to it: a step, and another with the same H to first order, unless that is not enough.
+    """
+    held, theta, (pose, error, raw) = standing.held, standing.theta, standing.near
+    there = rest.data.present
+    slope = white.rows(np.where(there[..., None], raw, 0.0))
+    with np.errstate(all="ignore"):
+        factor = factorise(slope)
+        pose = pose + solve_step(slope, factor, white.vector(np.where(there, error, 0.0)))[0]
+        error = held.subtract_read(theta, pose)
+        again = white.vector(np.where(there, error, 0.0))
+        step, size = solve_step(slope, factor, again)
+    if (size <= STRAIGHT).all():
+        return PoseEstimate(pose + step, subtract_step(slope, step, again), slope), subtract_step(raw, step, error), raw
+    at = rest.stand(theta, white, np.where(np.isfinite(pose), pose, held.start))
+    return at, *held.linearise_raw(theta, at.pose)[:2]
 
 
 def _covary(held: CalibrationLikelihood, own: Array, channel: int, there: np.ndarray) -> Array:

@@ -10,7 +10,7 @@ import math
 import time
 import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self, cast
@@ -48,11 +48,12 @@ from bayescal.inference.diagnostics import (
 from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
 from bayescal.inference.importance import WORTH_ANOTHER, ImportanceEvidence
 from bayescal.inference.leave_one_out import LeaveOneOut, leave_out, refit_doubtful
+from bayescal.inference.other_priors import weigh_other_priors
 from bayescal.inference.samplers import EvidenceCheck, SamplingTask, make_sampler
 from bayescal.inference.sampling import Sample
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.solutions import Solutions, find_solutions
-from bayescal.inference.stages import expect
+from bayescal.inference.stages import expect, stage
 from bayescal.inference.target import LogDensity, LogPosterior
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -101,6 +102,11 @@ class PosteriorProblem(ABC):
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return a density that leaves less out than the explored one; None where there is none."""
 
+    def vary_priors(self, posterior: LogPosterior) -> Mapping[float, LogPosterior]:
+        """Return by factor the posterior with priors of other widths whose evidence is wanted, too; by default none."""
+        del posterior
+        return {}
+
 
 @dataclass(frozen=True, eq=False)
 class Moments:
@@ -134,6 +140,7 @@ class Estimate:
     acceptance: Array  # (E,)
     diagnostics: Diagnostics
     importance: ImportanceEvidence
+    explored: ImportanceEvidence  # the same before the correction
     bridge: BridgeEvidence
     # with n_steps: for how many of its steps the most patient walker stood still, harmless visits to tails left out
     longest_stand: int
@@ -251,6 +258,7 @@ class Fit(Estimate):
     misfit: ChiSquare  # with pulls: what is left of the rows at the mode, and how far the posterior lies from nominal
     pulls: ChiSquare
     power_scaling: Array  # (n, 2): how much each parameter depends on prior and data
+    widths: dict[float, ImportanceEvidence]  # by factor on the priors' widths, as far as draws of this one tell it
     wall_seconds: float
 
     def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
@@ -303,6 +311,7 @@ def fit_posterior(
     is_fit = found.importance.efficiency >= WORTH_ANOTHER  # draws that hardly count for it count less without a row
     refit = partial(refit_doubtful, left_out, posterior, exploration, sampler.walkers, refit_seed)
     scale_power = partial(_scale_power, posterior, found.draws, evaluated["log_likelihood"])
+    weigh = partial(_weigh_widths, subject, exploration, found, _seed_for(seed, name, "prior widths"))
     of, prior = f"of {name!r}", partial(subject.replicate_prior, posterior, prior_seed)
     return Fit(
         **vars(found),
@@ -314,6 +323,7 @@ def fit_posterior(
         misfit=attempt(f"the misfit {of}", lambda: subject.measure_misfit(posterior, found.mode), NO_SQUARE),
         pulls=attempt(f"the distance from nominal {of}", lambda: measure_pulls(posterior, found.draws), NO_SQUARE),
         power_scaling=attempt(f"the power scaling {of}", scale_power, np.full((found.mean.size, 2), np.nan)),
+        widths=attempt(f"other prior widths {of}", weigh, dict[float, ImportanceEvidence]()),
         wall_seconds=time.perf_counter() - began,
     )
 
@@ -397,6 +407,7 @@ def _estimate(
         acceptance=sample.acceptance,
         diagnostics=sample.diagnostics,
         importance=moved,
+        explored=importance,
         bridge=shift_evidence(bridge, correction),
         longest_stand=_measure_stand(found, sample, far, moved.log_evidence),
         n_steps=sample.log_density.shape[2],
@@ -431,6 +442,17 @@ def shift_evidence[T: (ImportanceEvidence, BridgeEvidence, EvidenceCheck)](
         return found
     error = float(np.hypot(found.standard_error, correction.standard_error))
     return replace(found, log_evidence=found.log_evidence + correction.log_ratio, standard_error=error)
+
+
+def _weigh_widths(
+    subject: PosteriorProblem, exploration: Exploration, found: Estimate, seed: np.random.SeedSequence
+) -> dict[float, ImportanceEvidence]:
+    others = subject.vary_priors(cast("LogPosterior", exploration.straight.posterior))
+    if not others or found.explored.is_doubtful:
+        return {}
+    with stage("prior widths"):
+        costly = subject.find_costly(exploration)
+        return weigh_other_priors(exploration, found.explored, others, seed, costly, found.correction)
 
 
 def _scale_power(posterior: LogPosterior, draws: Array, density: Array) -> Array:

@@ -1,7 +1,9 @@
 """How evidences hang on the widths of the priors: each variant's again, all priors wider or narrower by a factor.
 
-Only evidences are wanted, to a few hundredths of a nat: a proposal need not be sharp. Narrower priors have no modes
-that wider ones about the same centres lack, so that these start where the study's own priors have theirs.
+Most evidences follow from the fit's own draws (`bayescal.inference.other_priors`); a posterior that these do not reach
+is explored by itself. Only its evidence is wanted, to a few hundredths of a nat: a proposal need not be sharp. Narrower
+priors have no modes that wider ones about the same centres lack, so that these start where the study's own priors have
+theirs.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.experiments.study.rows import PriorWidthRow
-from bayescal.inference.correction import correct_evidence
+from bayescal.inference.correction import KNOWN_ENOUGH, correct_evidence
 from bayescal.inference.exploration import (
     ACCEPTABLE,
     CORRECTABLE,
@@ -38,12 +40,12 @@ from bayescal.inference.target import LogPosterior
 from bayescal.limits import OUT_OF_QUESTION
 from bayescal.numerics.geometry import Array
 
-DRAWS = 2000
-"""Draws of a proposal, a block."""
+DRAWS, FEW_DRAWS = 2000, 500
+"""Draws of a proposal, a block; the latter for a variant that is out of the question."""
 NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
 """Of a width whose evidence could not be computed."""
-ERROR = 0.03
-"""Standard error in nats that is enough."""
+ERROR, ROUGH_ERROR = 0.03, 0.3
+"""Standard error in nats that is enough; the latter for a variant that is out of the question."""
 PILOTS = 0
 """Pilots of a proposal: a width costs less than the study's own fit, and its evidence has the error that it has."""
 
@@ -70,7 +72,7 @@ class WidthTask:
 
 
 def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
-    """Return a task for every variant and every factor that is not one, whose evidence the fit has.
+    """Return a task for every variant and every factor whose evidence the fit does not have.
 
     The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
     """
@@ -85,7 +87,7 @@ def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[
         )
         for factor in factors
         for name, fit in fits.items()
-        if factor != 1.0
+        if factor != 1.0 and factor not in fit.widths
     ]
     return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
 
@@ -98,10 +100,11 @@ def begin_widths(
     They are by factor and variant.
     """
     tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)}
+    known = {(factor, name): one for name, fit in fits.items() for factor, one in fit.widths.items()}
     if not tasks:
-        return dict
+        return lambda: known
     wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,), spare=True)
-    return lambda: {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
+    return lambda: known | {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
 
 
 def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
@@ -110,11 +113,16 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
     subject, known = ReadingSubject(variant.posterior(factor=task.factor).with_pose_guesses()), variant.posterior()
     starts = subject.posterior.to_coordinates(known.theta(task.modes), task.modes[:, known.n_geometry :])
-    draws, error = min(DRAWS, config.evidence.draws), max(ERROR, config.evidence.tolerance_nat)
+    is_rough = task.behind > OUT_OF_QUESTION
+    draws = min(FEW_DRAWS if is_rough else DRAWS, config.evidence.draws)
+    error = max(ROUGH_ERROR if is_rough else ERROR, config.evidence.tolerance_nat)
     effort = config.evidence.model_copy(update={"draws": draws, "tolerance_nat": error})
     exploration, importance = _weigh(task, subject.posterior, starts, seeds, config.sampler.walkers, effort)
     costly = subject.find_costly(exploration)
-    return shift_evidence(importance, None if costly is None else correct_evidence(costly, exploration, seeds[2]))
+    enough = ROUGH_ERROR if is_rough else KNOWN_ENOUGH
+    return shift_evidence(
+        importance, None if costly is None else correct_evidence(costly, exploration, seeds[2], enough)
+    )
 
 
 def _weigh(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -47,6 +47,7 @@ from bayescal.experiments.shared.readings.knowledge import (
     name_data,
     plain,
 )
+from bayescal.experiments.shared.readings.priors import widen
 from bayescal.experiments.shared.readings.reference_values import ReferenceValues
 from bayescal.experiments.shared.search_memory import PRIOR_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, fit_rows
@@ -147,7 +148,8 @@ class ReadingFit(Fit):
 def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     """Return all that is found of a variant; its random numbers depend on the config's seed and the name alone."""
     variant, config = inputs.variants[name], inputs.config
-    subject = ReadingSubject(variant.posterior().with_pose_guesses())
+    factors = [one for one in config.sensitivity.prior_width_factors if one != 1.0]
+    subject = ReadingSubject(variant.posterior().with_pose_guesses(), factors)
     posterior = subject.posterior
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
     y = fit.kept_of(0)  # a mean over several solutions is no machine
@@ -243,6 +245,7 @@ class ReadingSubject(PosteriorProblem):
     """A posterior of readings."""
 
     density: CalibrationPosterior
+    factors: Sequence[float] = ()  # on the widths of all priors, whose evidences are wanted, too
 
     @property
     def posterior(self) -> CalibrationPosterior:
@@ -279,6 +282,11 @@ class ReadingSubject(PosteriorProblem):
         if explored.likelihood.frozen is not None:
             return weigh_beside(explored, exploration) if exploration.left_out > MAX_FROZEN_ERROR_NAT else None
         return None if explored.likelihood.lone is None else weigh_beside(explored, exploration)
+
+    def vary_priors(self, posterior: LogPosterior) -> Mapping[float, LogPosterior]:
+        """Return the posterior with priors wider or narrower by each factor."""
+        own = cast("CalibrationPosterior", posterior)
+        return {k: replace(own, priors={name: widen(one, k) for name, one in own.priors.items()}) for k in self.factors}
 
     def measure_misfit(self, posterior: LogPosterior, mode: Array) -> ChiSquare:
         """Return χ² of what no pose explains at the mode (n,)."""

@@ -75,6 +75,26 @@ def test_a_linear_reading_has_the_closed_form(rng, correlated, nu):
         np.testing.assert_allclose([found.low[k], found.high[k]], [mean - half, mean + half], rtol=0, atol=0.06 * wide)
 
 
+def test_one_linearisation_of_all_readings_predicts_as_one_for_each(rng, monkeypatch):
+    machine = machines.build_machine("linear")
+    theta, actuators = machines.telescope_truth(machine), machines.table_3_actuators()
+    poses = machines.simulate_poses(machine, theta, actuators, np.full(6, 2e-3), rng)
+    posterior = machines.build_posterior("linear", poses, machines.let_err(0.002), ("l", "b_x", "b_y"), machine)
+    mode = find_mode(posterior, posterior.least_squares_start())
+    draws = mode.y + rng.standard_normal((40, len(mode.y))) @ np.linalg.cholesky(mode.covariance).T
+
+    def predict():
+        return predict_readings(posterior, posterior.likelihood, draws, np.random.default_rng(1))
+
+    by_one = predict()
+    monkeypatch.setattr("bayescal.density.calibration.prediction.STRAIGHT", -1.0)
+    by_each = predict()
+    np.testing.assert_array_equal([by_one.pose, by_one.channel], [by_each.pose, by_each.channel])
+    away = np.abs((by_one.mean - by_each.mean) / by_each.sd)
+    assert 0.0 < away.max() < 0.01
+    np.testing.assert_allclose(by_one.sd, by_each.sd, rtol=1e-3)
+
+
 def test_a_reading_that_tells_the_pose_is_not_predicted(rng):
     model = LinearModel(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.ones((3, 1)))
     likelihood = density(model, measurements(rng.standard_normal((2, 3)), 1.0))

@@ -82,7 +82,7 @@ def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, 
 
 def test_a_factor_of_one_is_the_fit_itself(tmp_path):
     inputs = load(tmp_path, ("prior_width_factors = [1.0]", "prior_width_factors = [1.0, 0.5, 1.0000001]"))
-    fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
+    fit = SimpleNamespace(modes=np.zeros((1, 2)), widths={}, importance=ImportanceEvidence(7.0, 0.1, 0.5, 0.1, 1000))
     widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), inputs.config.sensitivity.prior_width_factors)
     assert len(inputs.variants) == 2
     assert len(widths) == len({task.key for task in widths}) == 4
@@ -94,7 +94,7 @@ def test_a_factor_of_one_is_the_fit_itself(tmp_path):
 def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency, pareto_k, is_hard):
     inputs = load(tmp_path)
     importance = ImportanceEvidence(7.0, 0.1, efficiency, pareto_k, 1000)
-    fit = SimpleNamespace(modes=np.zeros((1, 2)), importance=importance)
+    fit = SimpleNamespace(modes=np.zeros((1, 2)), widths={}, importance=importance)
     widths = list_width_tasks(dict.fromkeys(inputs.variants, fit), [0.5])
     assert [task.is_hard for task in widths] == [is_hard] * 2
 
