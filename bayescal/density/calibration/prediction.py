@@ -15,7 +15,8 @@ from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
 PER_PARAMETER, RANK = 4, 1e-10  # draws for each parameter that regression on these takes; of singular values
-STRAIGHT = 1e-3  # deviations of a reading that a second step may move by where H is the same all the way
+STRAIGHT, TRIED = 1e-3, 16
+"""Deviations of a reading that a second step may move by where H is the same all the way, and machines that show it."""
 NOT_DETERMINED = "other readings do not determine the pose"
 """Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
@@ -295,20 +296,21 @@ def _predict(
 def _stand_by(rest: CalibrationLikelihood, standing: _Standing, white: Whitening) -> tuple[PoseEstimate, Array, Array]:
     """Return where some of the readings put the machines, with the errors (T, P, K) of all readings and H there.
 
-    All readings put them close to it: a step, and another with the same H to first order, unless that is not enough.
+    All readings put them close to it: one step, to first order, unless some of the machines show that H changes.
     """
     held, theta, (pose, error, raw) = standing.held, standing.theta, standing.near
-    there = rest.data.present
+    there, some = rest.data.present, np.unique(np.linspace(0, len(theta) - 1, TRIED).astype(int))
     slope = white.rows(np.where(there[..., None], raw, 0.0))
     with np.errstate(all="ignore"):
         factor = factorise(slope)
-        pose = pose + solve_step(slope, factor, white.vector(np.where(there, error, 0.0)))[0]
-        error = held.subtract_read(theta, pose)
-        again = white.vector(np.where(there, error, 0.0))
-        step, size = solve_step(slope, factor, again)
+        step, _ = solve_step(slope, factor, white.vector(np.where(there, error, 0.0)))
+        moved = pose + step
+        again = white.pick(some).vector(np.where(there, held.subtract_read(theta[some], moved[some]), 0.0))
+        _, size = solve_step(slope[some], [[one[some] for one in row] for row in factor], again)
     if (size <= STRAIGHT).all():
-        return PoseEstimate(pose + step, subtract_step(slope, step, again), slope), subtract_step(raw, step, error), raw
-    at = rest.stand(theta, white, np.where(np.isfinite(pose), pose, held.start))
+        error = subtract_step(raw, step, error)
+        return PoseEstimate(moved, white.vector(np.where(there, error, 0.0)), slope), error, raw
+    at = rest.stand(theta, white, np.where(np.isfinite(moved), moved, held.start))
     return at, *held.linearise_raw(theta, at.pose)[:2]
 
 

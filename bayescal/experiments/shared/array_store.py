@@ -6,6 +6,7 @@ takes the time. The posteriors of a study differ in their numbers alone, which a
 
 from __future__ import annotations
 
+import hashlib
 import io
 import sys
 import zlib
@@ -61,9 +62,14 @@ def _describe(tree: xr.DataTree) -> str:
     for node in tree.subtree:
         parts.append((node.path, None if node is tree else node.attrs))
         for name, one in node.to_dataset(inherit=False).variables.items():
-            own = None if _locate(node, name) in filled else one.values.tolist()
+            own = None if _locate(node, name) in filled else _sum(one.values)
             parts.append((name, one.dims, one.dtype.str, one.shape, one.attrs, one.encoding, own))
     return repr(parts)
+
+
+def _sum(values: np.ndarray) -> object:
+    """Return what tells values apart from others."""
+    return hashlib.sha256(values.tobytes()).digest() if values.dtype.kind in NUMBERS else values.tolist()
 
 
 def _write_blank(tree: xr.DataTree) -> bytes:
