@@ -134,7 +134,9 @@ class RunOptions:
 
     out: Annotated[Path | None, typer.Option(help="Results directory; default results/NAME.")] = None
     seed: Seed = None
-    workers: Annotated[int | None, typer.Option(min=1, max=1024, help="Processes; default one per core.")] = None
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Processes; default one per core, one alone for short runs.")
+    ] = None
     dask_scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler address, JSON file, or local:N."),

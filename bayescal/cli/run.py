@@ -81,8 +81,6 @@ def run_file(path: Path, kind: str | None, options: RunOptions) -> None:
 
 def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> None:
     """Run a config that was read from a file, show what it found, and fail where it did not converge."""
-    from joblib import cpu_count
-
     from bayescal.experiments.runner.engine import stop_workers
     from bayescal.experiments.runner.run import run_experiment
 
@@ -92,9 +90,7 @@ def run_config(config: ExperimentConfig, path: Path, options: RunOptions) -> Non
     where = options.out if options.out is not None else Path("results") / config.name
     interrupted = f"bayescal: interrupted; continue with --resume (in {where}.partial)"
     with end_on_interrupt(interrupted), name_faults(path):
-        finished = run_experiment(
-            config, path.parent, where, workers or cpu_count(), options.resume, options.quiet, scheduler
-        )
+        finished = run_experiment(config, path.parent, where, workers, options.resume, options.quiet, scheduler)
     stop_workers()
     if not options.quiet:
         finished.show(make_console())

@@ -96,12 +96,12 @@ class Experiment[C: ExperimentConfig, I](ABC):
         del inputs
         return MemoryEstimate()
 
-    def estimate_seconds(self, inputs: I, workers: int) -> float | None:
-        """Return about how long computing with these inputs takes, s; None, as by default, where nothing is known.
+    def estimate_seconds(self, inputs: I) -> float | None:
+        """Return about how long computing takes on one core, s; None, as by default, where nothing is known.
 
-        It may take some per cent of that itself, and is asked of runs that are followed alone.
+        It may take some per cent of that itself.
         """
-        del inputs, workers
+        del inputs
         return None
 
     def outlook(self, inputs: I) -> list[str]:

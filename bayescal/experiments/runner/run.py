@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 FOUND_LATE = "detected during the run"
 """Said of what is at fault with inputs that passed the gate."""
 THE_PAGE = "the page"
+SHORT = 15.0  # s of one core, up to which other processes take longer to start than they save
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
 MANY_PICTURES = 10  # fewer are drawn before other processes have started
 
@@ -128,23 +129,30 @@ def run_experiment(
     config: ExperimentConfig,
     folder: Path,
     out: Path | None,
-    workers: int = 1,
+    workers: int | None = 1,
     resume: bool = False,
     quiet: bool = True,
     scheduler: str | None = None,
 ) -> RunOutcome:
     """Run an experiment and put its results in ``out``, or keep them in memory where that is None.
 
+    ``workers`` None: a process per core, or this one alone where a run is shorter than others take to start.
+
     Parameters and errors are those of `bayescal.run_experiment`. Results of another config or another run in ``out``,
     and nothing to resume, are input at fault, too.
     """
     with threadpool_limits(1):
-        admitted = prepare_run(config, folder, workers if scheduler is None else 0)
+        admitted = prepare_run(config, folder, (workers or cpu_count()) if scheduler is None else 0)
         experiment, identity = admitted.experiment, admitted.identity
         place_of_config, kept = keep_inputs(config, folder, identity["files"])  # as they are now
         store = None if out is None else Store(out, again=experiment.asked_again)
         if store is not None:
             store.check(identity, resume)
+        # nobody asks, or nobody knows what a resumed run has left to do
+        is_unasked = resume or scheduler is not None or (quiet and workers is not None)
+        seconds = None if is_unasked else _estimate_seconds(admitted)
+        if workers is None:
+            workers = 1 if seconds is not None and seconds <= SHORT else cpu_count()
         with open_engine(workers, scheduler, quiet) as engine, ExitStack() as held:
             if store is not None:
                 held.enter_context(hold_lock(store.lock, store.out))
@@ -155,7 +163,7 @@ def run_experiment(
             if not (quiet or resume) and scheduler is None:
                 for doubt in _list_doubts(experiment, admitted.inputs):
                     progress.say(f"warning: {doubt}")
-                progress.say(_tell_effort(admitted, workers))
+                progress.say(_tell_effort(admitted, seconds, workers))
             results = _compute(admitted, Run(engine, store, progress))
             provenance = {**describe_provenance(config, identity), CONFIG_FILE: place_of_config}
             results = replace(results, files={**results.files, **kept}, provenance=provenance)
@@ -167,16 +175,18 @@ def run_experiment(
     return RunOutcome(where, experiment, read_results(where), page)
 
 
-def _tell_effort(admitted: PreparedRun, workers: int) -> str:
+def _estimate_seconds(admitted: PreparedRun) -> float | None:
+    """Return about how long a run takes on one core; None where its kind does not say."""
+    with np.errstate(all="ignore"), suppress(BayescalError):  # said where it is computed
+        return admitted.experiment.estimate_seconds(admitted.inputs)
+    return None
+
+
+def _tell_effort(admitted: PreparedRun, seconds: float | None, workers: int) -> str:
     """Return how long a run takes and how much memory, where either is much; otherwise nothing."""
-    with np.errstate(all="ignore"):
-        try:
-            seconds = admitted.experiment.estimate_seconds(admitted.inputs, workers)
-        except BayescalError:  # said where it is computed
-            seconds = None
     need, said = admitted.need, list[str]()
-    if seconds is not None and seconds >= LONG:
-        said.append(f"about {max(1, round(seconds / 60.0))} min")
+    if seconds is not None and seconds >= LONG * workers:
+        said.append(f"about {max(1, round(seconds / workers / 60.0))} min")
     if need.sizes and need.shared + workers * need.each >= LARGE * GIB:
         said.append(f"at most {need.sum_up(workers) / GIB:.1f} GiB of memory")
     by = f" with {workers} workers" if workers > 1 else ""

@@ -73,15 +73,15 @@ class StudyInputs(ReadingInputs):
         found.check(self)
         return found
 
-    def estimate_seconds(self, workers: int) -> float:
-        """Return about how long posteriors and pages take with so many processes, s."""
+    def estimate_seconds(self) -> float:
+        """Return about how long posteriors and page take on one core, s."""
         from bayescal.experiments.shared.estimate import time_fit
         from bayescal.experiments.study.readings import ReadingSubject
 
         config, posteriors = self.config, [one.posterior().with_pose_guesses() for one in self.variants.values()]
         widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.prior_width_factors)
         each = [widths * time_fit(ReadingSubject(one), config.sampler, config.evidence) for one in posteriors]
-        return PAGE + ROW * len(self.verification) + max(max(each), sum(each) / workers)
+        return PAGE + ROW * len(self.verification) + sum(each)
 
     def outlook(self) -> list[str]:
         """Return what each variant's readings can determine, and in lines what is not used or not there."""

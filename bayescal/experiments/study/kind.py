@@ -62,9 +62,9 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
         """Return what the posteriors take."""
         return estimate_calibration(inputs)
 
-    def estimate_seconds(self, inputs: StudyInputs, workers: int) -> float:
+    def estimate_seconds(self, inputs: StudyInputs) -> float:
         """Return what the posteriors take, from the time of some of their densities."""
-        return inputs.estimate_seconds(workers)
+        return inputs.estimate_seconds()
 
     def outlook(self, inputs: StudyInputs) -> list[str]:
         """Return what the data can determine of each variant, and that tolerances are too wide, which is no fault."""
