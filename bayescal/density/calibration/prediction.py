@@ -243,7 +243,8 @@ def _predict(
             slope = slopes[..., channel, :]
             shift = common[part][..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
             # what the others' noise tells of this reading's, as in Gaussian regression
-            told_by = white.vector(_covary(held, own[part], channel, rest.data.present))
+            shared = held.correlation[:, channel] * own[part] * own[part][..., channel, None]
+            told_by = white.vector(np.where(rest.data.present, shared, 0.0))
             slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
             own_noise = own[part][..., channel] ** 2 + tau[part][..., channel] ** 2 - (told_by**2).sum(axis=-1)
             variance = _spread_of_pose(slope, at) + own_noise
@@ -251,11 +252,6 @@ def _predict(
             mean[k, part] = predicted + np.einsum("tpk,tpk->tp", told_by, error_left)
             spread[k, part] = np.sqrt(variance * tails.pick(part).draw_widening(square, rest.n_spare, rng))
     return mean, mean + spread * rng.standard_normal(mean.shape)
-
-
-def _covary(held: CalibrationLikelihood, own: Array, channel: int, there: np.ndarray) -> Array:
-    """Return the covariances of a channel's noise with that of other readings (P, K) taken, shape (C, P, K)."""
-    return np.where(there, held.correlation[:, channel] * own * own[..., channel, None], 0.0)
 
 
 def _spread_of_pose(slope: Array, at: PoseEstimate) -> Array:
