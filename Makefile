@@ -39,8 +39,8 @@ audits: $(STAMP)
 	done
 
 PAPERS := rr8096/figure5 telescope/study telescope/model_error telescope/ridges telescope/table5 telescope/table6 \
-  telescope/table7 yu2023/table4 yu2023/table8 yu2023/figure10 pose_selection/rr8096_figure14 \
-  pose_selection/yu2023_table1 sika2008/calibrations
+  telescope/table7 yu2023/table1 yu2023/table4 yu2023/table8 yu2023/figure10 pose_selection/rr8096_figure14 \
+  sika2008/calibrations
 
 reproduce: $(STAMP)
 	@for paper in $(PAPERS); do \

@@ -136,10 +136,6 @@ def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
     }
 
 
-def _describe_variants(variants: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    return [{"name": key, "title": key, **one} for key, one in variants.items()]
-
-
 # --- experiments -----------------------------------------------------------------------------------------------------
 
 
@@ -436,4 +432,5 @@ def _state_models(stated: StatedExperiment, tolerances: Widths, variants: Mappin
     """Add what is uncertain of a machine, and the models that are compared."""
     stated.labels.update({f"variants.{k}": f"variants.{name}" for k, name in enumerate(variants)})
     stated.labels.update({f"parameters.{name}.sd": f"tolerances.{name}" for name in tolerances})
-    stated.state(parameters=_describe_widths(tolerances), variants=_describe_variants(variants))
+    listed = [{"name": key, "title": key, **one} for key, one in variants.items()]
+    stated.state(parameters=_describe_widths(tolerances), variants=listed)

@@ -42,8 +42,6 @@ NINETY = 1.6448536269514722
 # what optimisers are told
 FAR_AWAY = 1e6
 """Residual where a vector is no machine: finite, since optimisers subtract."""
-OUTLIER = 0.5
-"""Probability from which on a pose is called an outlier: more likely than not."""
 
 # what configs may say
 LARGEST = 1e9

@@ -38,7 +38,7 @@ def test_everything_that_can_be_named_is_listed(call):
 
     one = call("list", "models")[1]
     assert "six_pus" in one
-    assert "detmax" not in one
+    assert "exchange" not in one
 
 
 @pytest.mark.parametrize(("command", "name"), [("list", "modles"), ("schema", "studdy")])

@@ -37,7 +37,7 @@ COMMITTED = {
     "pose_extraction": "rr8096/figure5",
     "pose_selection_figure14": "pose_selection/rr8096_figure14",
     "pose_selection_i_optimal": "pose_selection/hexapod_i_optimal",
-    "pose_selection_table1": "pose_selection/yu2023_table1",
+    "pose_selection_table1": "yu2023/table1",
 }
 """Of committed results, the config that they were computed from."""
 

@@ -9,6 +9,9 @@ from pathlib import Path
 
 SHIPPED = Path(__file__).parents[1] / "experiments"
 
+FEW_SETS = {
+    **{"repeats": "1", "iterations": "2", "n_sets": "10", "max_iterations": "3", "list_length": "5", "count": "60"},
+}
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
     | {"prior_width_factors": "[1.0]"},
@@ -21,9 +24,8 @@ SMALL = {
         **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
         **{"count": "150", "poses": "14", "machines": "4"},
     },
-    "published_poses.py:PublishedPoses": {
-        **{"repeats": "1", "iterations": "2", "n_sets": "10", "max_iterations": "3", "list_length": "5", "count": "60"},
-    },
+    "published_poses.py:PublishedPoses": FEW_SETS,
+    "boundary_poses.py:BoundaryPoses": FEW_SETS,
     "self_calibrations.py:SelfCalibrations": {
         **{"calibrations": "6", "n_verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",

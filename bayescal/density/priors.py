@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal
+from typing import ClassVar, Final
 
 import numpy as np
 from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
@@ -315,7 +315,6 @@ INDEPENDENT: Final = "random"
 SCALE = "sigma_g"  # name of s among the free parameters
 LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
 FUNCTIONS = ("sigma_linear", "sigma_positioning", "sigma_smooth", "sigma_drift")  # of several sorts at once
-type KernelName = Literal["independent", "linear", "quadratic", "smooth"]
 LENGTHY = ("quadratic", "smooth")  # kernels with a length
 
 OFF = -20.0  # where the switch of a scale stands when there is no error; when there is one, about zero

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any, ClassVar, Self
@@ -125,125 +125,39 @@ class RandomSets(SelectionMethod):
         return self._from_candidates(problem, best, values.tolist(), len(sets), f"{len(sets)} sets judged")
 
 
-@dataclass(frozen=True)
-class Exchanging(SelectionMethod):
-    """A method that goes from set to set of candidates by exchanging members."""
+def begin_exchange(
+    problem: SelectionProblem, rng: np.random.Generator, start: Sequence[int] | None = None
+) -> tuple[Scorer, float, np.ndarray]:
+    """Return a scorer with the first set, what it is worth, and which distinct candidates are outside, (C,).
 
-    # candidates to start from instead of random ones that determine the parameters
-    start: tuple[int, ...] | None = field(default=None, kw_only=True)
-
-    def _begin(self, problem: SelectionProblem, rng: np.random.Generator) -> tuple[Scorer, float, np.ndarray]:
-        """Return a scorer with the first set, what it is worth, and which distinct candidates are outside, (C,).
-
-        InputError where the given set is not one of n distinct candidates, or no random one determines the parameters.
-        """
-        scorer, start = problem.scorer(), self.start
-        if start is not None:
-            within = all(0 <= k < len(problem.candidates) for k in start)
-            if len(set(start)) != problem.n or len(start) != problem.n or not within:
-                raise InputError(f"start: found candidates {list(start)}, expected {problem.n} different ones")
-            scorer.start(start)
+    The set is ``start``, or a random one that determines the parameters. InputError where the given set is not one of n
+    distinct candidates, or no random one determines the parameters.
+    """
+    scorer = problem.scorer()
+    if start is not None:
+        within = all(0 <= k < len(problem.candidates) for k in start)
+        if len(set(start)) != problem.n or len(start) != problem.n or not within:
+            raise InputError(f"start: found candidates {list(start)}, expected {problem.n} different ones")
+        scorer.start(start)
+        value = scorer.value()
+    else:
+        for _ in range(ATTEMPTS):
+            scorer.start(problem.draw_set(rng).tolist())
             value = scorer.value()
-        else:
-            for _ in range(ATTEMPTS):
-                scorer.start(problem.draw_set(rng).tolist())
-                value = scorer.value()
-                if np.isfinite(value) and value != 0.0:
-                    break
-            else:
-                raise InputError(
-                    f"candidates: found no determining set of {problem.n} in {ATTEMPTS} random ones, "
-                    "expected more poses or other candidates"
-                )
-        outside = problem.candidates.distinct.copy()
-        outside[scorer.members] = False
-        return scorer, value, outside
-
-
-@dataclass(frozen=True)
-class Detmax(Exchanging):
-    """DETMAX with excursions of one pose, from one set: add the best, drop the worst, until the two are the same."""
-
-    max_iterations: int = 1000
-
-    name: ClassVar[str] = "detmax"
-    title: ClassVar[str] = "DETMAX"
-    source: ClassVar[str] = "Mitchell 1974"
-
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
-        """Return the set where the exchange ends."""
-        scorer, value, outside = self._begin(problem, rng)
-        trace = [value]
-        for _ in range(self.max_iterations if outside.any() else 0):
-            added, _ = scorer.best_added(outside)
-            scorer.add(added)
-            outside[added] = False
-            dropped, value = scorer.best_dropped()
-            better = dropped != added and value > trace[-1] + GAIN * abs(trace[-1])
-            if not better:  # the same, or one as good: it would go round for ever
-                scorer.drop(added)
+            if np.isfinite(value) and value != 0.0:
                 break
-            scorer.drop(dropped)
-            outside[dropped] = True
-            trace.append(value)
-        ended = len(trace) <= self.max_iterations
-        reason = "the pose added is the pose dropped" if ended else f"{self.max_iterations} iterations"
-        return self._from_candidates(
-            problem, np.array(scorer.members), trace, scorer.n_evaluations, reason, converged=ended
-        )
-
-
-@dataclass(frozen=True)
-class TabuDetmax(Exchanging):
-    """DETMAX with a list of poses that may not come back for a while, which leads out of local optima."""
-
-    # m: how many poses may not be added. They are random at the start; the pose dropped joins the end, the first
-    # of the list becomes free
-    list_length: int = 100
-    iterations: int = 219
-    # whether the pose just added must stay, so that the set may become worse and leave a local optimum. As
-    # printed it may be dropped at once: then no set is worse than the one before, and the list only sees to it
-    # that other poses are tried
-    forbid_immediate_removal: bool = False
-
-    name: ClassVar[str] = "tabu"
-    title: ClassVar[str] = "Improved DETMAX with a tabu list"
-    source: ClassVar[str] = "Mitchell 1974, with a tabu list after Glover 1989"
-
-    def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
-        """Return the best set seen."""
-        distinct = problem.candidates.distinct
-        if self.list_length < 0 or problem.n + self.list_length >= distinct.sum():
+        else:
             raise InputError(
-                f"tabu: found a list of {self.list_length} with {problem.n} poses, expected fewer "
-                f"than {distinct.sum()} candidates together"
+                f"candidates: found no determining set of {problem.n} in {ATTEMPTS} random ones, "
+                "expected more poses or other candidates"
             )
-        scorer, best, outside = self._begin(problem, rng)
-        best_set, trace = list(scorer.members), [best]
-        tabu = deque(rng.permutation(np.flatnonzero(outside))[: self.list_length].tolist())
-        outside[list(tabu)] = False
-        for _ in range(self.iterations):
-            added, _ = scorer.best_added(outside)
-            scorer.add(added)
-            outside[added] = False
-            dropped, value = scorer.best_dropped()
-            if self.forbid_immediate_removal and dropped == added:
-                values = scorer.values_dropped()
-                values[scorer.members.index(added)] = -np.inf
-                place = int(np.argmax(values))
-                dropped, value = scorer.members[place], float(values[place])
-            scorer.drop(dropped)
-            tabu.append(dropped)
-            outside[tabu.popleft()] = True
-            trace.append(value)
-            if value > best:
-                best, best_set = value, list(scorer.members)
-        reason = f"best of {self.iterations} iterations"
-        return self._from_candidates(problem, np.array(best_set), trace, scorer.n_evaluations, reason)
+    outside = problem.candidates.distinct.copy()
+    outside[scorer.members] = False
+    return scorer, value, outside
 
 
 @dataclass(frozen=True)
-class Exchange(Exchanging):
+class Exchange(SelectionMethod):
     """Eliminate and add; where the pose that matters least stays the best choice, the next one is tried.
 
     In the manner of IOOPS, which adds the pose by a local optimisation over the workspace, this over the candidates.
@@ -251,6 +165,8 @@ class Exchange(Exchanging):
     """
 
     max_iterations: int = 1000  # exchanges
+    # candidates to start from instead of random ones that determine the parameters
+    start: tuple[int, ...] | None = None
 
     name: ClassVar[str] = "exchange"
     title: ClassVar[str] = "Exchange (eliminate and add)"
@@ -258,7 +174,7 @@ class Exchange(Exchanging):
 
     def select(self, problem: SelectionProblem, rng: np.random.Generator) -> SelectedPoses:
         """Return the set where the exchange ends."""
-        scorer, value, outside = self._begin(problem, rng)
+        scorer, value, outside = begin_exchange(problem, rng, self.start)
         trace = [value]
         ended = False
         while not ended and len(trace) <= self.max_iterations:
@@ -433,9 +349,7 @@ def _may_break(domain: PoseDomain) -> bool:
         return True
 
 
-METHODS: dict[str, type[SelectionMethod]] = {
-    method.name: method for method in (RandomSets, Detmax, TabuDetmax, Exchange, Continuous)
-}
+METHODS: dict[str, type[SelectionMethod]] = {method.name: method for method in (RandomSets, Exchange, Continuous)}
 
 
 def select(problem: SelectionProblem, method: str | SelectionMethod, rng: np.random.Generator) -> SelectedPoses:

@@ -283,7 +283,8 @@ def _predict(
         slope = slopes[..., channel, :]
         shift = common[..., channel] - np.einsum("tpq,tpq->tp", slope, moved)
         # what the others' noise tells of this reading's, as in Gaussian regression
-        told_by = white.vector(_covary(held, own, channel, rest.data.present))
+        covariance = held.correlation[:, channel] * own * own[..., channel, None]
+        told_by = white.vector(np.where(rest.data.present, covariance, 0.0))
         slope = slope - np.einsum("tpk,tpkq->tpq", told_by, at.slope)
         own_noise = own[..., channel] ** 2 + tau[..., channel] ** 2 - (told_by**2).sum(axis=-1)
         variance = _spread_of_pose(slope, at) + own_noise
@@ -312,11 +313,6 @@ def _stand_by(rest: CalibrationLikelihood, standing: _Standing, white: Whitening
         return PoseEstimate(moved, white.vector(np.where(there, error, 0.0)), slope), error, raw
     at = rest.stand(theta, white, np.where(np.isfinite(moved), moved, held.start))
     return at, *held.linearise_raw(theta, at.pose)[:2]
-
-
-def _covary(held: CalibrationLikelihood, own: Array, channel: int, there: np.ndarray) -> Array:
-    """Return the covariances of a channel's noise with that of other readings (P, K) taken, shape (C, P, K)."""
-    return np.where(there, held.correlation[:, channel] * own * own[..., channel, None], 0.0)
 
 
 def _spread_of_pose(slope: Array, at: PoseEstimate) -> Array:

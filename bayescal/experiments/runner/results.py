@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
-WRITTEN = "written"
-"""Key of the provenance that lists what a run has written, in results of earlier versions, which have no manifest."""
 MANIFEST_KEY = "manifest"
 """Key of the provenance that names the manifest, which such results must have."""
 TABLES, EMPTY_TABLES = "tables", "empty_tables"
@@ -111,14 +109,6 @@ def write_table(name: str, table: pd.DataFrame, folder: Path, tables_in: str = "
     write_json(folder / PROVENANCE_FILE, provenance)
 
 
-def list_written(folder: Path) -> list[str] | None:
-    """Return what a run has written into its directory: everything else is somebody's own. None where nothing tells."""
-    names = manifest.list_written(folder)
-    if names is None and (folder / PROVENANCE_FILE).is_file():
-        names = read_json(folder / PROVENANCE_FILE).get(WRITTEN)
-    return names if isinstance(names, list) else None
-
-
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON object, which has no number for what is not finite: null stands for it."""
     text = json.dumps(_make_json(content), indent=1, ensure_ascii=False, allow_nan=False)
@@ -178,7 +168,7 @@ def read_results(folder: Path, only: Collection[str] | None = None, checked: boo
     lengths, tables = provenance.get(LENGTHS), {}
     for name, columns in kinds.items():
         table = tables[Path(name).stem] = _read_table(folder / name, columns)
-        known = lengths.get(name, len(table)) if isinstance(lengths, dict) else len(table)  # earlier versions: none
+        known = lengths.get(name, len(table)) if isinstance(lengths, dict) else len(table)
         if known != len(table):  # cut between two rows, which says nothing of what it lacks
             raise InputError(f"{folder / name}: found {len(table)} rows, expected {known} as were written")
     tables |= {name: pd.DataFrame(columns=columns) for name, columns in empty.items()}

@@ -36,7 +36,6 @@ from bayescal.experiments.runner.results import (
     Results,
     Summary,
     check_results,
-    list_written,
     read_results,
     write_json,
     write_results,
@@ -45,7 +44,7 @@ from bayescal.experiments.runner.results import (
 from bayescal.experiments.runner.store import Store
 from bayescal.experiments.runner.terminal import Progress
 from bayescal.files.atomic import read_json
-from bayescal.files.manifest import MANIFEST, renew_manifest, write_manifest
+from bayescal.files.manifest import MANIFEST, list_written, renew_manifest, write_manifest
 from bayescal.files.memory import MemoryPath
 from bayescal.report.blocks import Page, Statement
 from bayescal.report.findings import FindingRow, tabulate_findings
@@ -348,7 +347,7 @@ def _write_page(
     every = dict.fromkeys([*list_losses(results.summary), *losses, *lost])
     page = page.add_failures([Statement(f"{one.say()}.", "bad") for one in every])
     earlier = list_written(folder)
-    if earlier is None:  # new ones, or of an earlier version: all figures are its own
+    if earlier is None:  # new ones: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
     if many:

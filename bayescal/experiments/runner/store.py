@@ -23,9 +23,9 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.experiments.runner.identity import hash_identity, list_versions
-from bayescal.experiments.runner.results import PROVENANCE_FILE, list_written
+from bayescal.experiments.runner.results import PROVENANCE_FILE
 from bayescal.files.atomic import check_writable, read_json, resolve, write_atomically
-from bayescal.files.manifest import add_others
+from bayescal.files.manifest import add_others, list_written
 from bayescal.numerics.geometry import Array
 
 IDENTITY_FILE = "identity.json"
@@ -196,7 +196,7 @@ def _share_foreign(old: Path, new: Path) -> list[str]:
     Whoever is killed meanwhile loses none of it.
     """
     written, shared = list_written(old), []
-    if written is None:  # of an earlier version: nothing tells
+    if written is None:  # nothing tells
         return []
     for path in sorted(old.rglob("*")):
         name = path.relative_to(old)

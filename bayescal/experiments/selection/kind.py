@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import MemoryEstimate, check_memory, estimate_arrays
@@ -25,7 +26,7 @@ COPIES, DERIVATIVES, PLACING = 3, 8, 12
 class Selection(Experiment[SelectionConfig, SelectionInputs]):
     """Which poses to measure, by criteria and methods compared."""
 
-    schema = SelectionConfig
+    schema: ClassVar[type[SelectionConfig]] = SelectionConfig
     rows = ROWS
     digits = 12
 

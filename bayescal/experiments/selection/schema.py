@@ -119,28 +119,6 @@ class RandomChoiceConfig(ChoiceConfig):
     """Number of random sets, the best of which is taken."""
 
 
-class DetmaxChoiceConfig(ChoiceConfig):
-    """DETMAX."""
-
-    method: Literal["detmax"]
-    """`"detmax"`."""
-    max_iterations: Count = 1000
-    """Iterations at which it ends at the latest."""
-
-
-class TabuChoiceConfig(ChoiceConfig):
-    """Improved DETMAX with a tabu list."""
-
-    method: Literal["tabu"]
-    """`"tabu"`."""
-    list_length: Annotated[int, Field(ge=0, le=100_000)] = 100
-    """Length of the tabu list."""
-    iterations: Count = 219
-    """Number of iterations."""
-    forbid_immediate_removal: bool = False
-    """Whether the pose just added must stay, so that the set may become worse for a while."""
-
-
 class ExchangeChoiceConfig(ChoiceConfig):
     """Eliminate and add."""
 
@@ -176,7 +154,7 @@ class OwnChoiceConfig(ChoiceConfig, OwnSection):
     """Class of the method, `file.py:Class`; its options stand beside it."""
 
 
-BUILT_IN = ("random", "detmax", "tabu", "exchange", "continuous")
+BUILT_IN = ("random", "exchange", "continuous")
 
 
 def _tag_choice(section: object) -> str:
@@ -186,8 +164,6 @@ def _tag_choice(section: object) -> str:
 
 type SelectionChoice = Annotated[
     Annotated[RandomChoiceConfig, Tag("random")]
-    | Annotated[DetmaxChoiceConfig, Tag("detmax")]
-    | Annotated[TabuChoiceConfig, Tag("tabu")]
     | Annotated[ExchangeChoiceConfig, Tag("exchange")]
     | Annotated[ContinuousChoiceConfig, Tag("continuous")]
     | Annotated[OwnChoiceConfig, Tag(OWN)],

@@ -131,7 +131,7 @@ def state_headline(tables: Tables) -> str:
 def judge_methods(tables: Tables) -> list[Statement]:
     """Return how often each label finds more than the one before it."""
     rows = tables["selections"]
-    rows = rows[rows["method"].isin(["detmax", "tabu", "exchange", "continuous"])]
+    rows = rows[~rows["method"].isin([DESIGN, RANDOM])]
     labels = list(dict.fromkeys(rows["label"]))
     statements = []
     for one, other in zip(labels[1:], labels[:-1], strict=True):

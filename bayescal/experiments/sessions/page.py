@@ -20,7 +20,7 @@ from bayescal.experiments.sessions.rows import (
     MotionRow,
     SessionRow,
 )
-from bayescal.experiments.shared.headline import say_odds, write_headline
+from bayescal.experiments.shared.headline import write_headline
 from bayescal.experiments.shared.slips import state_denied
 from bayescal.files.rows import check_tables
 from bayescal.limits import PARETO_K_LIMIT
@@ -41,6 +41,7 @@ from bayescal.report.numbers import (
     capitalise,
     format_estimate,
     format_fixed,
+    format_odds,
     format_percent,
     format_plain,
     name_some,
@@ -118,7 +119,7 @@ def state_headline(results: Results) -> str:
     advice = "Calibrate again" if walk else "Calibrate each machine"
     moved = [name_parameter(one.parameter_group) for one in scales if one.log_bayes_factor_moved > CLEAR]
     what = f"{name_some(moved)} {differs if len(moved) == 1 else differ}" if moved else "open part"
-    return write_headline([advice, f"{what} ({say_odds(nats)})"])
+    return write_headline([advice, f"{what} (odds of {format_odds(nats)})"])
 
 
 def _list_key_figures(results: Results, walk: bool) -> list[KeyFigure]:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from bayescal.experiments.runner.results import Summary
 from bayescal.report.blocks import Level, Statement
-from bayescal.report.numbers import format_odds, format_percent, name_some
+from bayescal.report.numbers import format_percent, name_some
 
 NOT_DISTINGUISHABLE = 1.0
 """Difference of log-evidences, nat, below which two variants fit equally well."""
@@ -202,11 +202,6 @@ def state_ruled_out(candidates: Sequence[Candidate]) -> list[Statement]:
 def say_count(number: int) -> str:
     """Return a small number as a word."""
     return NUMBERS[number] if number < len(NUMBERS) else str(number)
-
-
-def say_odds(nats: float) -> str:
-    """Return ``odds of 150 to 1``."""
-    return f"odds of {format_odds(nats)}"
 
 
 def say_probability(probability: float, decimals: int = 0) -> str:

@@ -8,8 +8,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from bayescal.config.sections import ExperimentConfig, Factor, InputFile, Name, Positive, Section, check_once
 from bayescal.experiments.shared.schema import Extent, Turns
+from detmax import Count, TabuDetmaxConfig
 
-type Count = Annotated[int, Field(ge=1, le=100_000)]
 type Repeats = Annotated[int, Field(ge=2, le=100_000)]
 type Index = Literal["O1", "O2", "O3", "O4", "O5"]
 
@@ -23,15 +23,11 @@ class BoxConfig(Section):
     """Half widths of rotation vectors."""
 
 
-class TabuConfig(Section):
+class TabuConfig(TabuDetmaxConfig):
     """The improved DETMAX and the even candidates that it selects from."""
 
     candidates: Count = 2000
     """Number of even candidates."""
-    list_length: Annotated[int, Field(ge=0, le=100_000)] = 100
-    """Length of the tabu list."""
-    iterations: Count = 219
-    """Number of iterations."""
 
 
 class PoseNoiseConfig(Section):

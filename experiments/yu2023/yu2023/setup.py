@@ -27,7 +27,7 @@ from bayescal.pose_selection import (
     even_candidates,
     select,
 )
-from bayescal.pose_selection.methods import TabuDetmax
+from detmax import TabuDetmax
 from yu2023.least_squares import (
     Calibrations,
     PoseErrors,
@@ -103,8 +103,7 @@ class Setup:
 
     def select(self, index: str, n: int, rng: np.random.Generator) -> CommandedPoses:
         """Return n poses selected by the improved DETMAX."""
-        options = self.config.selection
-        found = select(self.problem(index, n), TabuDetmax(options.list_length, options.iterations), rng)
+        found = select(self.problem(index, n), TabuDetmax(self.config.selection), rng)
         placed = found.placed
         return CommandedPoses(coordinates_from_pose(placed.position, placed.rotation), found.actuators, found.value)
 

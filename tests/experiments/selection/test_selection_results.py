@@ -9,10 +9,10 @@ import pytest
 import studies
 
 from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.selection.schema import label_of
 
-FOLDER = studies.EXPERIMENTS / "pose_selection"
 RESULTS = studies.EXPERIMENTS.parent / "results"
-NAMES = ("yu2023_table1", "rr8096_figure14", "hexapod_i_optimal")
+NAMES = ("yu2023/table1", "pose_selection/rr8096_figure14", "pose_selection/hexapod_i_optimal")
 
 
 def read(name: str, table: str) -> pd.DataFrame:
@@ -21,11 +21,11 @@ def read(name: str, table: str) -> pd.DataFrame:
 
 @pytest.mark.parametrize("experiment", NAMES)
 def test_results_hold_all_selections(experiment):
-    config = load_experiment(FOLDER / f"{experiment}.toml")
+    config = load_experiment(studies.EXPERIMENTS / f"{experiment}.toml")
     summary = json.loads((RESULTS / config.name / "summary.json").read_text(encoding="utf-8"))
     assert summary["name"] == config.name
     assert summary["headline"]
-    chosen = {(c.label or c.method, name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
+    chosen = {(label_of(c), name, n) for c in config.selections for name in c.criteria for n in c.n_poses}
     table = read(config.name, "selection_summary")
     assert {tuple(row) for row in table[["label", "criterion", "n_poses"]].itertuples(index=False)} >= chosen
 

@@ -6,24 +6,24 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Self
 
 import matplotlib.figure as plt
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bayescal.config.classes import label_class
 from bayescal.config.sections import InputFile, Positive, Section
 from bayescal.errors import InputError
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
-from bayescal.experiments.selection.compute import BOUNDARY_FRACTION, KEY
+from bayescal.experiments.selection.compute import KEY
 from bayescal.experiments.selection.inputs import SelectionInputs
 from bayescal.experiments.selection.kind import Selection
 from bayescal.experiments.selection.page import (
     BLOCKS,
     COLOURS,
+    PageBlock,
     build_page,
     format_spread,
     format_value,
@@ -32,13 +32,13 @@ from bayescal.experiments.selection.page import (
 from bayescal.experiments.selection.schema import Count, SelectionConfig, label_of
 from bayescal.experiments.selection.verdict import JUDGEMENTS, Tables, judge_methods, state_headline
 from bayescal.files.csv_tables import read_table
-from bayescal.pose_selection import METHODS
-from bayescal.report.blocks import Cell, Column, Figure, Level, Page, Statement, make_section, make_table
-from bayescal.report.blocks import PageSection as PageSection
+from bayescal.report.blocks import Cell, Column, Figure, Level, Page, PageSection, Statement, make_section, make_table
 from bayescal.report.numbers import capitalise, format_fixed, format_percent
 from bayescal.report.style import INK, RED
+from detmax import Detmax, TabuDetmax
 
 PRINTED = 5e-4  # of a value: half of a unit of the fourth digit is less
+TITLES = {method.name: method.title for method in (Detmax, TabuDetmax)}
 
 
 class PublishedConfig(Section):
@@ -59,18 +59,10 @@ class PublishedConfig(Section):
 class PublishedPosesConfig(SelectionConfig):
     """An experiment on pose selection that somebody has published."""
 
-    kind: str
+    kind: str  # type: ignore[assignment]  # where that of the package has a name
     """The file and this kind."""
     published: PublishedConfig
     """Printed values to compare with."""
-
-    @model_validator(mode="after")
-    def _check_published(self) -> Self:
-        labels = {label_of(choice) for choice in self.selections}
-        for label in self.published.iterations:
-            if label not in labels:
-                raise ValueError(f"published.iterations: found {label!r}, expected some of {', '.join(sorted(labels))}")
-        return self
 
 
 class PublishedPoses(Selection):
@@ -78,9 +70,13 @@ class PublishedPoses(Selection):
 
     schema = PublishedPosesConfig
 
-    def read(self, config: PublishedPosesConfig, folder: Path) -> SelectionInputs:
+    def read(self, config: SelectionConfig, folder: Path) -> SelectionInputs:
         """Return what the experiment computes with; the published table is read too, to find its faults."""
         inputs = super().read(config, folder)
+        labels = {label_of(choice) for choice in config.selections}
+        for label in published_of(config).iterations:
+            if label not in labels:
+                raise InputError(f"published.iterations: found {label!r}, expected some of {', '.join(sorted(labels))}")
         published = read_published(config, folder)
         if published is not None:
             _check_selected(config, published)
@@ -100,13 +96,21 @@ class PublishedPoses(Selection):
     def page(self, results: Results) -> Page:
         """Return the page, what was published first."""
         config = self.config_of(results)
-        printed = {"mean": config.published.random_mean, "largest": config.published.random_max}
-        blocks = (show_published, show_traces, partial(show_random_sets, printed=printed), *BLOCKS[1:])
-        judgements = (judge_published, judge_methods, judge_boundary, judge_random, *JUDGEMENTS[1:])
+        section = published_of(config)
+        printed = {"mean": section.random_mean, "largest": section.random_max}
+        random_sets = partial(show_random_sets, printed=printed)
+        blocks: tuple[PageBlock, ...] = (show_published, show_traces, random_sets, *BLOCKS[1:])
+        judgements = (judge_published, judge_methods, judge_random, *JUDGEMENTS[1:])
         return build_page(Tables(config, results), blocks, judgements, state_published)
 
 
-def read_published(config: PublishedPosesConfig, folder: Path) -> pd.DataFrame | None:
+def published_of(config: SelectionConfig) -> PublishedConfig:
+    """Return what the source of an experiment of this kind printed."""
+    assert isinstance(config, PublishedPosesConfig)
+    return config.published
+
+
+def read_published(config: SelectionConfig, folder: Path) -> pd.DataFrame | None:
     """Return the published values of criteria; None where no table is given.
 
     Raises
@@ -114,9 +118,9 @@ def read_published(config: PublishedPosesConfig, folder: Path) -> pd.DataFrame |
     InputError
         Where the table has other columns than label, criterion, n_poses and value, a value of zero or a row twice.
     """
-    if config.published.table is None:
+    if (file := published_of(config).table) is None:
         return None
-    table = read_table(folder / config.published.table, [*KEY, "value"])
+    table = read_table(folder / file, [*KEY, "value"])
     labels, criteria, numbers = table.text("label"), table.text("criterion"), table.numbers(["n_poses", "value"])
     for row in np.flatnonzero(numbers[:, 1] == 0.0):
         raise InputError(f"{table.where(int(row))}: value: found 0, expected another, for it is divided by")
@@ -126,7 +130,7 @@ def read_published(config: PublishedPosesConfig, folder: Path) -> pd.DataFrame |
     return pd.DataFrame({"label": labels, "criterion": criteria, "n_poses": counts, "published": numbers[:, 1]})
 
 
-def _check_selected(config: PublishedPosesConfig, published: pd.DataFrame) -> None:
+def _check_selected(config: SelectionConfig, published: pd.DataFrame) -> None:
     """Raise InputError where nothing that is selected was published."""
     keys = set(zip(published["label"], published["criterion"], published["n_poses"], strict=True))
     selected = {
@@ -163,7 +167,7 @@ def judge_published(tables: Tables) -> list[Statement]:
         short = rows[~reached].groupby("criterion", sort=False)["ratio"].min()
         if len(short):
             text += f"; {short.idxmin()} is short by up to {format_percent(1 - float(short.min()), 1)}"
-        title = METHODS[str(label)].title if label in METHODS else str(label)
+        title = TITLES.get(str(label), str(label))
         statements.append(
             Statement(
                 f"{text}.",
@@ -178,7 +182,7 @@ def judge_published(tables: Tables) -> list[Statement]:
 
 def judge_random(tables: Tables) -> list[Statement]:
     """Return whether the printed mean and maximum of random sets are those found."""
-    sets, section = tables["random_sets"], tables.config.published
+    sets, section = tables["random_sets"], published_of(tables.config)
     if sets.empty:
         return []
     groups = sets.groupby("repeat")["value"]
@@ -196,17 +200,6 @@ def judge_random(tables: Tables) -> list[Statement]:
         level: Level = "good" if inside else "warning"
         statements.append(Statement(words, level, "Random sets", value=first, limit=published))
     return statements
-
-
-def judge_boundary(tables: Tables) -> list[Statement]:
-    """Return how many of the chosen poses lie at the boundary, where published optima do."""
-    if tables.errors.empty:
-        return []
-    shares = tables["selections"].groupby("label", sort=False)["boundary_fraction"].mean().dropna()
-    label, share = str(shares.idxmax()), float(shares.max())
-    near = format_percent(1 - BOUNDARY_FRACTION)
-    text = f"Poses within {near} of a limit: up to {format_percent(share)} ({label})."
-    return [Statement(text, "plain", "Boundary", value=share)]
 
 
 # --- page --------------------------------------------------------------------------------------------------------
@@ -228,7 +221,7 @@ def show_published(tables: Tables) -> PageSection | None:
         Column("best", "%", "found against published"),
         Column("mean", "%", "found against published"),
     ]
-    rows = [
+    rows: list[list[str | Cell]] = [
         [
             str(row["label"]),
             str(row["criterion"]),
@@ -250,13 +243,13 @@ def show_published(tables: Tables) -> PageSection | None:
         "Indices found, by those published: best of the repeats, and mean with standard deviation over repeats.",
         partial(draw_ratios, table),
     )
-    caption = f"Indices published by {tables.config.published.source} and found here."
+    caption = f"Indices published by {published_of(tables.config).source} and found here."
     return make_section("Published and found", (), (make_table(caption, columns, rows),), (figure,))
 
 
 def show_traces(tables: Tables) -> PageSection | None:
     """Return the traces of the first number of poses, where there are methods that go on from set to set."""
-    iterations, traces = tables.config.published.iterations, tables["traces"]
+    iterations, traces = published_of(tables.config).iterations, tables["traces"]
     if not iterations or traces.empty:
         return None
     criterion, n = str(traces["criterion"].iloc[0]), int(traces["n_poses"].iloc[0])
