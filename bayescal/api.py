@@ -209,6 +209,7 @@ def calibrate(
     seed: int = 1,
     name: str = "study",
     title: str | None = None,
+    effort: str = "standard",
     out: Path | str | None = None,
     workers: int = 1,
     quiet: bool = False,
@@ -231,6 +232,8 @@ def calibrate(
     seed : int
     name, title : str
         Of the study.
+    effort : str
+        ``quick`` for a preliminary answer, ``standard`` or ``thorough``.
     out : Path or str, optional
         Folder for the results; by default they are gone with what is returned.
     workers : int
@@ -268,6 +271,8 @@ def calibrate(
         kind = type(data).__name__
         raise InputError(f"data: found a {kind}, expected Data(table, noise), which states the noise of its channels")
     _state_models(stated, tolerances, variants)
+    if effort != "standard":
+        sections["sampler"] = {**sections.get("sampler", {}), "effort": effort}
     stated.state(**sections)
     result = _run(stated, out, workers, quiet)
     assert isinstance(result, StudyResult)

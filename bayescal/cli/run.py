@@ -30,9 +30,15 @@ if TYPE_CHECKING:
 
 @app.command(epilog="Example: bayescal run experiments/telescope/study.toml --workers 2")
 @spread_options
-def run(experiment: Experiment, options: RunOptions) -> None:
+def run(
+    experiment: Experiment,
+    options: RunOptions,
+    effort: Annotated[
+        str | None, typer.Option(metavar="EFFORT", help="quick (preliminary answer), standard or thorough.")
+    ] = None,
+) -> None:
     """Run an experiment of any kind and write its results and its report."""
-    run_file(experiment, None, options)
+    run_file(experiment, None, options, effort)
 
 
 @app.command(epilog="Example: bayescal audit experiments/audit/m2_hexapod.toml")
@@ -69,13 +75,17 @@ def selftest(
     run_config(configure_selftest(study, variant or [], data_sets, options.seed), study, options)
 
 
-def run_file(path: Path, kind: str | None, options: RunOptions) -> None:
+def run_file(path: Path, kind: str | None, options: RunOptions, effort: str | None = None) -> None:
     """Run a config's file; of one kind alone where that is named."""
     from bayescal.experiments.runner.load import load_experiment, load_kind
 
     config = load_experiment(path) if kind is None else load_kind(path, kind)
     if options.seed is not None:
         config = config.model_copy(update={"seed": options.seed})
+    if effort is not None:
+        from bayescal.experiments.shared.study_schema import change_effort
+
+        config = change_effort(config, effort)
     run_config(config, path, options)
 
 

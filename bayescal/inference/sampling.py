@@ -11,6 +11,7 @@ import numpy as np
 from bayescal.inference.diagnostics import Diagnostics, diagnose
 from bayescal.inference.ensemble import JUMP_SHARE, Draw, Ensemble, run_ensembles
 from bayescal.inference.exploration import GOOD_ENOUGH, Exploration
+from bayescal.inference.importance import resample
 from bayescal.inference.reparameterisation import Reparameterisation
 from bayescal.inference.schema import count_walkers
 from bayescal.inference.stages import stage
@@ -69,6 +70,31 @@ def sample_posterior(
     with stage("sampling", n_ensembles * walkers * (1 + n_burn_in + n_steps)):
         ensembles = run_ensembles(density, proposal, seeds, walkers, n_burn_in, n_steps, jump_share=share)
     return Sample.from_ensembles(straight, ensembles)
+
+
+def draw_by_importance(
+    exploration: Exploration, seed: np.random.SeedSequence, n_runs: int, n_proposed: int, n_drawn: int
+) -> Sample:
+    """Return independent draws by the weights of the proposal's, in runs that have no step in common.
+
+    Each of n_runs runs takes so many draws out of so many proposed, and lays them out as walkers.
+
+    Raises
+    ------
+    NumericalError
+        Where no proposed draw has a finite density.
+    """
+    straight, n = exploration.straight, exploration.straight.posterior.n_parameters
+    n_walkers = count_walkers(n, 0)
+    shape = (n_runs, n_walkers, max(2, n_drawn // n_walkers))
+    each = shape[1] * shape[2]
+    x = np.concatenate(
+        [
+            resample(straight.log_density, exploration.proposal, np.random.default_rng(one), n_proposed, each).draws
+            for one in seed.spawn(n_runs)
+        ]
+    )
+    return Sample(straight, x.reshape(*shape, n), straight.log_density(x).reshape(shape), np.ones(n_runs))
 
 
 def continue_sample(exploration: Exploration, sample: Sample, seed: np.random.SeedSequence) -> Sample:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -39,6 +39,15 @@ def check_installed[S: (str, str | None)](name: S) -> S:
     return name
 
 
+type Effort = Literal["quick", "standard", "thorough"]
+MORE: Final = 4
+"""By how much more steps and draws are taken for a thorough answer."""
+QUICK_DRAWS: Final = 2000
+"""Draws for importance sampling where a preliminary answer is enough."""
+QUICK_ERROR: Final = 0.05
+"""Standard error of the log-evidence, in nats, that is enough then."""
+
+
 class SamplerConfig(Section):
     """What draws the posteriors: ensembles of walkers, or another sampler.
 
@@ -50,6 +59,10 @@ class SamplerConfig(Section):
         default=EMCEE, exclude_if=lambda value: value == EMCEE
     )
     """The sampler by its name, or a table of its `class` and options; `bayescal list samplers` shows all."""
+    effort: Effort = Field(default="standard", exclude_if=lambda value: value == "standard")
+    """How much is computed: `quick` gives a preliminary answer by importance sampling, without chains; `standard` draws
+    until the diagnostics pass; `thorough` takes four times as many steps and draws. Numbers that are stated hold.
+    """
     ensembles: Annotated[int, Field(ge=4, le=64)] = 4
     """Number of independent ensembles of walkers, each of which is a chain."""
     walkers: Annotated[int, Field(ge=8, le=4096)] = 128
@@ -61,13 +74,20 @@ class SamplerConfig(Section):
 
     def plan(self, is_easy: bool) -> tuple[int, int]:
         """Return the steps to drop and to keep at first, of a proposal that is nearly the posterior or is not."""
-        burn_in, steps = SHORT if is_easy else USUAL
+        burn_in, steps = SHORT if is_easy and self.effort != "thorough" else USUAL
+        steps *= MORE if self.effort == "thorough" else 1
         return burn_in if self.burn_in is None else self.burn_in, steps if self.steps is None else self.steps
 
     @property
     def most_steps(self) -> int:
         """Most steps that are kept."""
-        return MOST_STEPS if self.steps is None else self.steps
+        most = MOST_STEPS * (MORE if self.effort == "thorough" else 1)
+        return most if self.steps is None else self.steps
+
+    @property
+    def is_preliminary(self) -> bool:
+        """Whether a preliminary answer is enough."""
+        return self.effort == "quick"
 
 
 def count_walkers(n_parameters: int, n_walkers: int) -> int:
@@ -90,6 +110,18 @@ class EvidenceConfig(Section):
     cross_check: Annotated[str, ClassMark("SAMPLERS")] | None = Field(default=None, exclude_if=is_none)
     """A sampler that checks each evidence by its own: `"smc"`, sequential Monte Carlo from the prior, or `"nautilus"`,
     nested sampling by another library; both take longer."""
+
+    def follow(self, effort: Effort) -> Self:
+        """Return what a quick or a thorough study takes for what is as by default; what was stated holds."""
+        default, changed = type(self)(), dict[str, object]()
+        if effort == "quick":
+            changed = {"draws": QUICK_DRAWS, "max_draws": QUICK_DRAWS, "tolerance_nat": QUICK_ERROR}
+        elif effort == "thorough":
+            tolerance, most = default.tolerance_nat / MORE**0.5, default.max_draws * MORE
+            changed = {"tolerance_nat": tolerance, "max_draws": most}
+        return self.model_copy(
+            update={key: value for key, value in changed.items() if getattr(self, key) == getattr(default, key)}
+        )
 
     @field_validator("cross_check")
     @classmethod

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 SUMMARY_FILE = "summary.json"
 PROVENANCE_FILE = "provenance.json"
+PRELIMINARY = "preliminary"
+"""Key of a summary: whether its numbers are those of a preliminary answer."""
 MANIFEST_KEY = "manifest"
 """Key of the provenance that names the manifest, which such results must have."""
 TABLES, EMPTY_TABLES = "tables", "empty_tables"

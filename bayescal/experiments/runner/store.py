@@ -75,7 +75,8 @@ class Store:
         if provenance.is_file():
             known, wanted = read_json(provenance), hash_identity(identity)
             found, asked_again = known.get("config_sha256"), self.again and known.get("config") == identity["config"]
-            if found != wanted and not asked_again:
+            may_replace = asked_again or _is_answered_further(known.get("config"), identity["config"])
+            if found != wanted and not may_replace:
                 raise InputError(
                     f"{self.out}: holds results of another config (sha256 {str(found)[:12]}, expected "
                     f"{wanted[:12]}); choose another --out or remove it"
@@ -182,6 +183,18 @@ class Store:
         else:
             self.staged.rename(resolve(self.out))
         self.discard()
+
+
+def _is_answered_further(known: Any, wanted: Any) -> bool:
+    """Whether results are a preliminary answer to a config that asks for more."""
+    if not (isinstance(known, dict) and isinstance(wanted, dict) and isinstance(known.get("sampler"), dict)):
+        return False
+    efforts = [one.get("sampler", {}).get("effort") for one in (known, wanted)]
+    plain = [
+        {**one, "sampler": {**one.get("sampler", {}), "effort": None}} if isinstance(one.get("sampler"), dict) else one
+        for one in (known, wanted)
+    ]
+    return efforts[0] == "quick" != efforts[1] and plain[0] == plain[1]
 
 
 def _is_ours(path: Path) -> bool:

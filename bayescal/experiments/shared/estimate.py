@@ -50,7 +50,7 @@ from bayescal.inference.importance import WORTH_ANOTHER, ImportanceEvidence
 from bayescal.inference.leave_one_out import LeaveOneOut, leave_out, refit_doubtful
 from bayescal.inference.other_priors import weigh_other_priors
 from bayescal.inference.samplers import EvidenceCheck, SamplingTask, make_sampler
-from bayescal.inference.sampling import Sample
+from bayescal.inference.sampling import Sample, draw_by_importance
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.solutions import Solutions, find_solutions
 from bayescal.inference.stages import expect, stage
@@ -145,8 +145,10 @@ class Estimate:
     # with n_steps: for how many of its steps the most patient walker stood still, harmless visits to tails left out
     longest_stand: int
     n_steps: int
-    overdispersed: OverdispersedCheck  # where walkers that started far out ended
-    tails: TailShare  # what the draws have of the mass where the proposal seldom leads
+    # where walkers that started far out ended, and what the draws have of the mass where the proposal seldom leads;
+    # None of a preliminary answer
+    overdispersed: OverdispersedCheck | None
+    tails: TailShare | None
     check: EvidenceCheck | None  # where the config asks for it
     correction: Correction | None  # what led to a density that leaves less out: draws and evidences are its own
     solutions: Solutions  # which of the draws (E, S) belongs to which of M separate ones
@@ -174,12 +176,19 @@ class Estimate:
     @property
     def log_evidence(self) -> float:
         """By importance sampling, or by the bridge where the weights have too heavy a tail."""
-        return self.importance.log_evidence if self.is_importance_trusted else self.bridge.log_evidence
+        is_by_bridge = not (self.is_importance_trusted or self.is_preliminary)
+        return self.bridge.log_evidence if is_by_bridge else self.importance.log_evidence
 
     @property
     def log_evidence_se(self) -> float:
         """Its standard error."""
-        return self.importance.standard_error if self.is_importance_trusted else self.bridge.standard_error
+        is_by_bridge = not (self.is_importance_trusted or self.is_preliminary)
+        return self.bridge.standard_error if is_by_bridge else self.importance.standard_error
+
+    @property
+    def is_preliminary(self) -> bool:
+        """Whether its draws are those of importance sampling, which no chain has checked."""
+        return self.overdispersed is None
 
     @property
     def is_importance_trusted(self) -> bool:
@@ -193,18 +202,12 @@ class Estimate:
 
     def list_problems(self) -> list[str]:
         """Return what speaks against it in words; empty where it converged."""
-        problems = self.diagnostics.list_problems()
-        if not self.modes_converged:
-            problems.append("the mode search did not converge")
-        if not self.bridge.converged:
-            problems.append("bridge sampling did not converge")
-        if not self.gap <= AGREEMENT:
-            problems.append(f"log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
+        problems = [] if self.modes_converged else ["the mode search did not converge"]
+        if not self.is_preliminary:
+            problems = self._list_chain_problems() + problems
         problems += list_importance_problems(
             self.importance.pareto_k, self.importance.efficiency * self.importance.n_draws
         )
-        problems += list_stand_problems(self.longest_stand, self.n_steps)
-        problems += self.overdispersed.list_problems() + self.tails.list_problems()
         if self.check is not None:
             own, check = (self.log_evidence, self.log_evidence_se), self.check
             problems += list_check_problems(own, (check.log_evidence, check.standard_error), check.mixed)
@@ -216,6 +219,17 @@ class Estimate:
             )
         return problems
 
+    def _list_chain_problems(self) -> list[str]:
+        problems = self.diagnostics.list_problems()
+        if not self.bridge.converged:
+            problems.append("bridge sampling did not converge")
+        if not self.gap <= AGREEMENT:
+            problems.append(f"log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
+        problems += list_stand_problems(self.longest_stand, self.n_steps)
+        for check in (self.overdispersed, self.tails):
+            problems += [] if check is None else check.list_problems()
+        return problems
+
     def describe_evidence(self) -> Summary:
         """Return the evidence as columns of a table."""
         row = {
@@ -225,7 +239,7 @@ class Estimate:
             "log_evidence_importance_se": self.importance.standard_error,
             "log_evidence_bridge": self.bridge.log_evidence,
             "log_evidence_bridge_se": self.bridge.standard_error,
-            "log_evidence_by": "importance" if self.is_importance_trusted else "bridge",
+            "log_evidence_by": "importance" if self.is_importance_trusted or self.is_preliminary else "bridge",
         }
         if self.check is not None:
             row |= {
@@ -308,7 +322,10 @@ def fit_posterior(
     posterior = cast("LogPosterior", exploration.straight.posterior)
     evaluated = subject.evaluate(posterior, found.y, evaluate_seed)
     left_out = leave_out(found.draws, evaluated["log_likelihood"])
-    is_fit = found.importance.efficiency >= WORTH_ANOTHER  # draws that hardly count for it count less without a row
+    # not so of a preliminary answer
+    is_fit = (
+        found.importance.efficiency >= WORTH_ANOTHER and not found.is_preliminary
+    )  # draws that hardly count for it count less without a row
     refit = partial(refit_doubtful, left_out, posterior, exploration, sampler.walkers, refit_seed)
     scale_power = partial(_scale_power, posterior, found.draws, evaluated["log_likelihood"])
     weigh = partial(_weigh_widths, subject, exploration, found, _seed_for(seed, name, "prior widths"))
@@ -352,12 +369,89 @@ def _estimate(
     effort: EvidenceConfig,
     subject: PosteriorProblem | None = None,
 ) -> tuple[Estimate, Exploration]:
-    explore_seed, importance_seed, ensemble_seed, bridge_seed, _, correct_seed, *_ = _spawn(seed, name)
+    explore_seed, importance_seed, *_, correct_seed, _, _ = _spawn(seed, name)
+    effort = effort.follow(sampler.effort)
     expect(_plan(sampler, effort))
     fine_enough = FINE_ENOUGH if subject is None else CORRECTABLE
     found, importance = integrate_posterior(
         posterior, explore_seed, importance_seed, sampler.walkers, effort, fine_enough
     )
+    draw = _draw_by_weights if sampler.is_preliminary else _draw_by_chains
+    found, importance, drawn = draw(found, importance, seed, name, sampler, effort)
+    sample = drawn.sample
+    costly, correction = None if subject is None else subject.find_costly(found), None
+    if costly is not None:
+        correction = correct_draws(costly, found, sample, correct_seed)
+        if correction.is_trusted:
+            sample = move_sample(sample, found, correction)
+        elif not sampler.is_preliminary:
+            seeds = correct_seed.spawn(sampler.ensembles)
+            sample = sample_exactly(costly, found, sample, correction.move, seeds)
+    moved, n = shift_evidence(importance, correction), posterior.n_parameters
+    places = choose_draws(len(sample.log_density), sample.log_density[0].size, KEPT_READINGS)
+    solutions = find_solutions(sample.y, found.modes, posterior.n_geometry)
+    first = np.argsort(solutions.of_modes, kind="stable")
+    moments, *others = (Moments.of(sample.natural[solutions.label == k]) for k in range(max(solutions.n_shown, 1)))
+    estimate = Estimate(
+        y=sample.y.reshape(-1, n)[places],
+        draws=sample.natural.reshape(-1, n)[places],
+        log_density=sample.log_density.reshape(-1)[places],
+        **vars(moments),
+        modes=np.stack([mode.y for mode in found.modes])[first],
+        modes_converged=all(mode.converged for mode in found.modes),
+        acceptance=sample.acceptance,
+        diagnostics=sample.diagnostics,
+        importance=moved,
+        explored=importance,
+        bridge=shift_evidence(drawn.bridge, correction),
+        longest_stand=0 if drawn.far is None else _measure_stand(found, sample, drawn.far, moved.log_evidence),
+        n_steps=sample.log_density.shape[2],
+        overdispersed=drawn.overdispersed,
+        tails=drawn.tails,
+        check=None if drawn.check is None else shift_evidence(drawn.check, correction),
+        correction=correction,
+        solutions=replace(solutions, label=solutions.label.reshape(-1)[places], of_modes=solutions.of_modes[first]),
+        others=tuple(others),
+    )
+    return estimate, found
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Draws of an explored posterior, with what chains say of them where they are of chains."""
+
+    sample: Sample
+    bridge: BridgeEvidence = NO_BRIDGE
+    far: TailDraws | None = None
+    overdispersed: OverdispersedCheck | None = None
+    tails: TailShare | None = None
+    check: EvidenceCheck | None = None
+
+
+def _draw_by_weights(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    seed: int,
+    name: str,
+    sampler: SamplerConfig,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence, _Drawn]:
+    """Return a preliminary answer's draws."""
+    ensemble_seed = _spawn(seed, name)[2]
+    sample = draw_by_importance(found, ensemble_seed, sampler.ensembles, effort.draws // 2, effort.draws // 8)
+    return found, importance, _Drawn(sample)
+
+
+def _draw_by_chains(
+    found: Exploration,
+    importance: ImportanceEvidence,
+    seed: int,
+    name: str,
+    sampler: SamplerConfig,
+    effort: EvidenceConfig,
+) -> tuple[Exploration, ImportanceEvidence, _Drawn]:
+    """Return draws until the diagnostics pass, and the exploration with tails as heavy as the posterior's."""
+    _, importance_seed, ensemble_seed, bridge_seed, *_ = _spawn(seed, name)
     far = draw_tails(found, _seed_for(seed, name, "tails"))
     found, importance = widen_tails(found, importance, far, importance_seed, effort)
     is_easy = min(found.efficiency, importance.efficiency) >= EASY_EFFICIENCY and importance.pareto_k <= EASY_PARETO_K
@@ -384,41 +478,7 @@ def _estimate(
         check = attempt(
             f"the evidence of {name!r} by {label_class(effort.cross_check)}", lambda: other.sample(task).evidence, None
         )
-    costly, correction = None if subject is None else subject.find_costly(found), None
-    if costly is not None:
-        correction = correct_draws(costly, found, sample, correct_seed)
-        if correction.is_trusted:
-            sample = move_sample(sample, found, correction)
-        else:
-            seeds = correct_seed.spawn(sampler.ensembles)
-            sample = sample_exactly(costly, found, sample, correction.move, seeds)
-    moved, n = shift_evidence(importance, correction), posterior.n_parameters
-    places = choose_draws(len(sample.log_density), sample.log_density[0].size, KEPT_READINGS)
-    solutions = find_solutions(sample.y, found.modes, posterior.n_geometry)
-    first = np.argsort(solutions.of_modes, kind="stable")
-    moments, *others = (Moments.of(sample.natural[solutions.label == k]) for k in range(max(solutions.n_shown, 1)))
-    estimate = Estimate(
-        y=sample.y.reshape(-1, n)[places],
-        draws=sample.natural.reshape(-1, n)[places],
-        log_density=sample.log_density.reshape(-1)[places],
-        **vars(moments),
-        modes=np.stack([mode.y for mode in found.modes])[first],
-        modes_converged=all(mode.converged for mode in found.modes),
-        acceptance=sample.acceptance,
-        diagnostics=sample.diagnostics,
-        importance=moved,
-        explored=importance,
-        bridge=shift_evidence(bridge, correction),
-        longest_stand=_measure_stand(found, sample, far, moved.log_evidence),
-        n_steps=sample.log_density.shape[2],
-        overdispersed=overdispersed,
-        tails=tails,
-        check=None if check is None else shift_evidence(check, correction),
-        correction=correction,
-        solutions=replace(solutions, label=solutions.label.reshape(-1)[places], of_modes=solutions.of_modes[first]),
-        others=tuple(others),
-    )
-    return estimate, found
+    return found, importance, _Drawn(sample, bridge, far, overdispersed, tails, check)
 
 
 def _is_enough(found: Exploration, importance: ImportanceEvidence, far: TailDraws, sample: Sample) -> bool:
@@ -448,7 +508,7 @@ def _weigh_widths(
     subject: PosteriorProblem, exploration: Exploration, found: Estimate, seed: np.random.SeedSequence
 ) -> dict[float, ImportanceEvidence]:
     others = subject.vary_priors(cast("LogPosterior", exploration.straight.posterior))
-    if not others or found.explored.is_doubtful:
+    if not others or found.is_preliminary or found.explored.is_doubtful:
         return {}
     with stage("prior widths"):
         costly = subject.find_costly(exploration)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -21,6 +21,7 @@ from bayescal.config.sections import (
 from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
 from bayescal.density.priors import SharePrior
 from bayescal.density.schema import ModelErrorConfig, PriorConfig, TermNames
+from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.data_schema import DataConfig
 from bayescal.experiments.shared.readings.schema import (
     ChannelConfig,
@@ -40,7 +41,7 @@ from bayescal.experiments.shared.schema import (
     UnitsConfig,
 )
 from bayescal.experiments.shared.slips import IgnoredDataErrors
-from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.inference.schema import Effort, EvidenceConfig, SamplerConfig
 
 
 def _tag_error(value: Any) -> str:
@@ -122,6 +123,16 @@ class VariantConfig(FreeConfig):
         if self.student_t_dof is not None and self.outlier_fraction is not None:
             raise ValueError("found student_t_dof and outlier_fraction, expected one of them")
         return self
+
+
+def change_effort(config: ExperimentConfig, effort: str) -> ExperimentConfig:
+    """Return a study's config with another effort; InputError for one that is none, and for other kinds."""
+    if not isinstance(config, StudyConfig):
+        raise InputError(f"effort: found with kind {config.kind!r}, expected a study")
+    if effort not in (known := get_args(Effort.__value__)):
+        raise InputError(f"effort: found {effort!r}, expected {', '.join(known[:-1])} or {known[-1]}")
+    sampler = config.sampler.model_copy(update={"effort": effort})
+    return config.model_copy(update={"sampler": sampler})
 
 
 def name_variant(model: str | None, deformation: str | None) -> str:

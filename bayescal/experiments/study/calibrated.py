@@ -26,7 +26,7 @@ from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.errors import InputError
-from bayescal.experiments.runner.results import Results, Writer
+from bayescal.experiments.runner.results import PRELIMINARY, Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT
 from bayescal.experiments.shared.headline import choose_best
 from bayescal.experiments.shared.origin import name_origin
@@ -199,6 +199,8 @@ def calibrate_machine(
     errors = _build_errors(results, chosen.name, model)
     noise = _find_noise(results, config, chosen.name, model, solution)
     problems = () if fit["converged"] else tuple(str(fit["problems"] or "not converged").split("; "))
+    if results.summary.get(PRELIMINARY):
+        problems = ("preliminary answer, which no chain has checked", *problems)
     source = Source(config.name, chosen.name, name_origin(config.provenance.model_dump()), problems, solution.say())
     functions = _read_functions(results, chosen.name, solution)
     units = {name: unit for name, unit in results.summary.get("column_units", {}).items() if name in model.names}

@@ -9,7 +9,7 @@ import pandas as pd
 
 from bayescal.experiments.runner.losses import attempt
 from bayescal.experiments.runner.parallel import Run
-from bayescal.experiments.runner.results import Results, Summary
+from bayescal.experiments.runner.results import PRELIMINARY, Results, Summary
 from bayescal.experiments.shared.estimate import TREE
 from bayescal.experiments.shared.posterior_files import write_packed
 from bayescal.experiments.shared.slips import MisstatedInput
@@ -36,7 +36,8 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         "origin": config.provenance.model_dump(),
         "units": config.units.model_dump(),
         "n_poses": {"calibration": int((~held).sum()), "verification": int(held.sum())},
-        "converged": not any(fit.list_problems() for fit in fits.values()),
+        "converged": not (config.sampler.is_preliminary or any(fit.list_problems() for fit in fits.values())),
+        **({PRELIMINARY: True} if config.sampler.is_preliminary else {}),
         **more,
         "variants": variants,
         "rankings": rank_variants(variants),

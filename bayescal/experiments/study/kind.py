@@ -104,7 +104,9 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
     def list_failures(self, results: Results) -> list[str]:
         """Return that data seem to be wrong, and that a posterior did not converge."""
         wrong = ["probable data error"] if results.summary.get("suspected_data_error") else []
-        return wrong if results.summary["converged"] else [*wrong, "not everything converged"]
+        variants = results.summary["variants"].values()
+        failed = [] if all(one["converged"] for one in variants) else ["not everything converged"]
+        return [*wrong, *failed]
 
     def measure(
         self, config: StudyConfig, path: Path, names: Sequence[str], with_model_error: bool

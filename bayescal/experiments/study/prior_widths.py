@@ -101,7 +101,7 @@ def begin_widths(
     """
     tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)}
     known = {(factor, name): one for name, fit in fits.items() for factor, one in fit.widths.items()}
-    if not tasks:
+    if not tasks or inputs.config.sampler.is_preliminary:
         return lambda: known
     wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,), spare=True)
     return lambda: known | {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from bayescal.experiments.runner.results import Summary
+from bayescal.experiments.runner.results import PRELIMINARY, Summary
 from bayescal.experiments.runner.terminal import TerminalColumn, print_table, print_text
 from bayescal.experiments.shared.headline import (
     describe_candidate,
@@ -69,7 +69,8 @@ def show_ranking(summary: Summary, console: Console) -> None:
             ]
             if of_poses:
                 row.append(_format_errors(fit.get(use)))
-            rows.append((*row, "yes" if fit["converged"] else "NO"))
+            passed = "preliminary" if summary.get(PRELIMINARY) else "yes"
+            rows.append((*row, passed if fit["converged"] else "NO"))
     print_table(console, tuple(shown), rows)
     errors = f"position error, {use} poses: mean / largest " if of_poses else ""
     print_text(console, f"{errors}log-evidence in nats")

@@ -45,6 +45,8 @@ def compute_table(inputs: TableInputs, run: Run) -> Results:
     """Return the table of a study; NumericalError where the posterior did not converge and nothing allows it."""
     estimate = run.once("posterior", _estimate, inputs, (Estimate,))
     problems = estimate.list_problems()
+    if estimate.is_preliminary:
+        problems = ["preliminary answer, which no chain has checked", *problems]
     if problems and not inputs.config.allow_unconverged:
         found = f"variant {inputs.variant.name!r} did not converge ({'; '.join(problems)})"
         raise NumericalError(f"{found}; --allow-unconverged uses it")

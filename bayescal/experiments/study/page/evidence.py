@@ -161,6 +161,8 @@ def _tabulate_diagnostics(study: StudyResults) -> Table:
         if "wall_seconds" in fit:
             row.append((Column("Time", "s", kind="seconds"), format_fixed(fit["wall_seconds"], 1)))
         status = Cell("converged") if fit["converged"] else Cell(fit["problems"] or "not converged", "bad")
+        if fit["converged"] and study.is_preliminary:
+            status = Cell("preliminary", "warning")
         return [*row, (Column("Status", kind="text"), status)]
 
     caption = "Convergence."

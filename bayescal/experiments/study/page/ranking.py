@@ -112,7 +112,8 @@ def _describe(study: StudyResults, name: str, fit: Summary, behind: NamedCells) 
     group = "From nominal, rms"
     found += [(Column("", "mm", group), length)] if (study.geometry["unit"] == "mm").any() else []
     found.append((Column("", "tolerances", group), tolerances))
-    found.append((Column("Checks", kind="text"), Cell("passed") if fit["converged"] else Cell("FAILED", "bad")))
+    passed = Cell("preliminary", "warning") if study.is_preliminary else Cell("passed")
+    found.append((Column("Checks", kind="text"), passed if fit["converged"] else Cell("FAILED", "bad")))
     if len(study.summary["rankings"]) > 1:
         found.append((Column("Readings", kind="name"), str(fit["data_set"])))
     return found

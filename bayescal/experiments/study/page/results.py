@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.errors import InputError
-from bayescal.experiments.runner.results import NUMBER, SUMMARY_FILE, Kinds, Results, Summary, check_keys
+from bayescal.experiments.runner.results import NUMBER, PRELIMINARY, SUMMARY_FILE, Kinds, Results, Summary, check_keys
 from bayescal.experiments.shared.headline import (
     Candidate,
     choose_best,
@@ -188,6 +188,11 @@ class StudyResults:
         """Model and deformation of the variants that have names of their own."""
         named = self.summary.get("own_names", {})
         return {name: (one["model"], one["deformation"]) for name, one in named.items()}
+
+    @property
+    def is_preliminary(self) -> bool:
+        """Whether no chain has checked the posteriors."""
+        return bool(self.summary.get(PRELIMINARY))
 
     @cached_property
     def ranking(self) -> list[str]:

@@ -254,13 +254,13 @@ def list_failures(study: StudyResults) -> list[Statement]:
 
 
 def measure_gap(fit: Summary) -> float:
-    """Return how far the two log-evidences of a posterior lie apart."""
+    """Return how far the two log-evidences of a posterior lie apart; not a number of a preliminary one."""
     return abs(float(fit["log_evidence_importance"] - fit["log_evidence_bridge"]))
 
 
 def is_sound(fit: Summary) -> bool:
     """Whether a posterior passed its checks."""
-    return bool(fit["converged"]) and not fit["problems"] and measure_gap(fit) <= AGREEMENT
+    return bool(fit["converged"]) and not fit["problems"] and not measure_gap(fit) > AGREEMENT
 
 
 def state_convergence(study: StudyResults) -> list[Statement]:
@@ -270,6 +270,9 @@ def state_convergence(study: StudyResults) -> list[Statement]:
     if failed:
         text = f"{failed} of {len(fits)} posteriors failed checks."
         return [Statement(text, "bad", "Checks", value=float(failed), limit=0.0)]
+    if study.is_preliminary:
+        text = "Preliminary answer by importance sampling; no chain has checked it."
+        return [Statement(text, "warning", "Checks", action='Run with `effort = "standard"` in `[sampler]`.')]
     bulk = min(fit["ess_bulk_min"] for fit in fits)
     numbers = (
         (f"Largest R-hat, {len(fits)} posteriors", max(fit["rhat_max"] for fit in fits), RHAT_LIMIT, 4),

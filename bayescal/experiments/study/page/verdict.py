@@ -72,6 +72,8 @@ def state_headline(study: StudyResults) -> str:
     named = model and study.chosen not in study.own_names
     label = f"{study.label_model(model)} {describe_deformation(deformation)}" if named else ""
     choice = say_choice(study.candidates(), label, has_warnings(study))
+    if study.is_preliminary:
+        choice = f"Preliminary: {choice[0].lower()}{choice[1:]}"
     accuracy = "; ".join(filter(None, (_say_uncertainty(study), say_requirements(study.required))))
     return write_headline([choice, accuracy, _say_next(study)])
 
@@ -82,6 +84,8 @@ def _say_next(study: StudyResults) -> str:
         return f"Next: {said[0].lower()}{said[1:]}" if said[1:2].islower() else f"Next: {said}"
     if not study.fit(study.chosen)["converged"] or find_rivals(study.candidates()):
         return f"Next: run again with {RERUN}"
+    if study.is_preliminary:
+        return 'Next: run with effort = "standard" in [sampler]'
     if count_solutions(study.fit(study.chosen)) > 1:
         return "Next: exclude all solutions but one"
     if not study.required:
@@ -118,7 +122,10 @@ def list_key_figures(study: StudyResults) -> list[KeyFigure]:
     found.append(KeyFigure("Residual / noise", format_significant(get_number(fit, "reduced_chi"), 2)))
     failed = sum(not is_sound(one) for one in fits)
     checks = f"{len(fits) - failed} of {len(fits)}"
-    found.append(KeyFigure("Checks passed", checks, "", "bad" if failed else "good"))
+    if study.is_preliminary and not failed:
+        found.append(KeyFigure("Checks", "preliminary", "no chains", "warning"))
+    else:
+        found.append(KeyFigure("Checks passed", checks, "", "bad" if failed else "good"))
     return found if len(found) > 3 else [*found, KeyFigure("Poses", str(study.summary["n_poses"]["calibration"]))]
 
 
