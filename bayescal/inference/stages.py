@@ -1,6 +1,7 @@
 """What a long computation is at, for whoever follows it: its stage by name, how much of that is done, the time left.
 
-A stage counts the densities that it computes, of as many as are expected. Stages within a stage count for that one.
+A stage counts the densities that it computes, of as many as are expected. Stages within a stage count for that one. A
+first answer is said as soon as it is known.
 Where nobody follows, all of this does nothing.
 """
 
@@ -8,9 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+
+from bayescal.errors import NumericalError
 
 EVERY = 0.5  # seconds between two reports at the least
 
@@ -29,6 +32,7 @@ class Report:
 @dataclass(eq=False)
 class _Follower:
     tell: Callable[[Report], None]
+    answer: Callable[[str], None]
     began: float = field(default_factory=lambda: time.monotonic())
     plan: dict[str, int] = field(default_factory=dict)
     stage: str = ""
@@ -66,9 +70,9 @@ _follower: ContextVar[_Follower | None] = ContextVar("follower", default=None)
 
 
 @contextmanager
-def follow(tell: Callable[[Report], None]) -> Iterator[None]:
-    """Tell what is computed here is at, now and then."""
-    before = _follower.set(_Follower(tell))
+def follow(tell: Callable[[Report], None], answer: Callable[[str], None] = lambda said: None) -> Iterator[None]:
+    """Tell what is computed here is at, now and then, and a first answer once."""
+    before = _follower.set(_Follower(tell, answer))
     try:
         yield
     finally:
@@ -87,6 +91,16 @@ def stage(name: str, total: int = 0) -> Iterator[None]:
         yield
     finally:
         follower.leave()
+
+
+def answer_first(say: Callable[[], str]) -> None:
+    """Say a first answer, which is made only where somebody follows; one that fails numerically is not said."""
+    follower = _follower.get()
+    if follower is None:
+        return
+    with suppress(NumericalError, ArithmeticError, ValueError):  # SciPy and LAPACK raise the last two
+        if said := say():
+            follower.answer(said)
 
 
 def expect(plan: Mapping[str, int]) -> None:

@@ -32,6 +32,8 @@ REDRAWN = 0.5  # seconds between two looks at what tasks are at, on a terminal
 SHOWN = 3  # tasks whose stages are said
 
 UNBOUNDED = 10_000  # letters
+ANSWER = ".answer"  # ending of the file of a task's first answer
+LOOKED = 0.5  # seconds between two looks for first answers, in a pipe
 
 
 @dataclass(eq=False)
@@ -42,6 +44,7 @@ class TaskWatch:
     _folder: TemporaryDirectory[str] = field(
         default_factory=lambda: TemporaryDirectory(prefix="bayescal-", ignore_cleanup_errors=True)
     )
+    _answered: set[str] = field(default_factory=set)
 
     def mark[T](self, tasks: Mapping[str, T]) -> dict[str, tuple[str, T]]:
         """Return tasks that know where to say what they are at."""
@@ -51,10 +54,24 @@ class TaskWatch:
     def read(self) -> dict[str, Report]:
         """Return what tasks are at, by their names."""
         found = {}
-        for path in sorted(Path(self._folder.name).iterdir(), key=lambda path: path.name.zfill(9)):
+        for path in self._list(""):
             with suppress(OSError, ValueError, TypeError):  # it has just ended, or is just being written
                 found[self.names[int(path.name)]] = Report(**json.loads(path.read_text()))
         return found
+
+    def read_answers(self) -> list[str]:
+        """Return first answers that were not read before."""
+        found = list[str]()
+        for path in self._list(ANSWER):
+            with suppress(OSError, ValueError):
+                if path.stem not in self._answered and (said := path.read_text(encoding="utf-8")).endswith("\n"):
+                    self._answered.add(path.stem)
+                    found.append(f"first answer, {self.names[int(path.stem)]}: {said.strip()}")
+        return found
+
+    def _list(self, ending: str) -> list[Path]:
+        there = [path for path in Path(self._folder.name).iterdir() if path.suffix == ending]
+        return sorted(there, key=lambda path: path.stem.zfill(9))
 
     def close(self) -> None:
         """Remove the folder."""
@@ -70,8 +87,12 @@ def run_marked[S, T, R](both: tuple[Callable[[S, T], R], S], marked: tuple[str, 
         with suppress(OSError):  # a worker elsewhere, or a run that is over
             path.write_text(json.dumps(asdict(report)))
 
+    def answer(said: str) -> None:
+        with suppress(OSError):
+            path.with_suffix(ANSWER).write_text(f"{said}\n", encoding="utf-8")
+
     try:
-        with follow(tell):
+        with follow(tell, answer):
             return function(shared, task)
     finally:
         path.unlink(missing_ok=True)
@@ -150,9 +171,23 @@ class Progress:
             with self._draw(stage):
                 yield stage
         else:
-            with _repeat(lambda: self.say(stage.describe()), EVERY):
+            said = time.monotonic()
+
+            def look() -> None:
+                nonlocal said
+                self._say_answers(stage)
+                if time.monotonic() - said >= EVERY:
+                    said = time.monotonic()
+                    self.say(stage.describe())
+
+            with _repeat(look, LOOKED):
                 yield stage
+            self._say_answers(stage)
             self.say(stage.describe())
+
+    def _say_answers(self, stage: Stage) -> None:
+        for said in [] if stage.watch is None else stage.watch.read_answers():
+            self.say(said)
 
     @contextmanager
     def _draw(self, stage: Stage) -> Iterator[None]:
@@ -167,6 +202,8 @@ class Progress:
                 text = "  ".join([stage.name, *describe_tasks(running)])
                 said = "" if left is None else f"about {left:.0f} s left"
                 bar.update(line, completed=done, description=make_plain(text), left=said)
+                for answer in [] if stage.watch is None else stage.watch.read_answers():
+                    bar.console.print(answer)
 
             with _repeat(draw, REDRAWN):
                 yield

@@ -46,14 +46,14 @@ from bayescal.inference.diagnostics import (
     measure_sensitivity,
 )
 from bayescal.inference.exploration import CORRECTABLE, FINE_ENOUGH, Exploration, integrate_posterior
-from bayescal.inference.importance import WORTH_ANOTHER, ImportanceEvidence
+from bayescal.inference.importance import WORTH_ANOTHER, ImportanceEvidence, resample
 from bayescal.inference.leave_one_out import LeaveOneOut, leave_out, refit_doubtful
 from bayescal.inference.other_priors import weigh_other_priors
 from bayescal.inference.samplers import EvidenceCheck, SamplingTask, make_sampler
 from bayescal.inference.sampling import Sample, draw_by_importance
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walkers
 from bayescal.inference.solutions import Solutions, find_solutions
-from bayescal.inference.stages import expect, stage
+from bayescal.inference.stages import answer_first, expect, stage
 from bayescal.inference.target import LogDensity, LogPosterior
 from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
@@ -67,6 +67,7 @@ EASY_EFFICIENCY, EASY_PARETO_K = 0.3, 0.5
 variance, and most jumps of the proposal are accepted."""
 NO_BRIDGE, NO_SQUARE = BridgeEvidence(math.nan, math.nan, False), ChiSquare(math.nan, math.nan)
 """Of what could not be computed."""
+FIRST = 128  # draws of a first answer
 TIMED = 16  # densities by which the time of a fit is estimated
 SEARCHED, JUDGED = 1.8, 1.3
 """Time of a fit in that of its planned densities, search and correction among it, and in that of its rows' densities at
@@ -101,6 +102,11 @@ class PosteriorProblem(ABC):
     @abstractmethod
     def find_costly(self, exploration: Exploration) -> CostlyDensity | None:
         """Return a density that leaves less out than the explored one; None where there is none."""
+
+    def say_first(self, posterior: LogPosterior, y: Array) -> str:
+        """Return in words what some draws (T, n) of a preliminary answer say; by default nothing."""
+        del posterior, y
+        return ""
 
     def vary_priors(self, posterior: LogPosterior) -> Mapping[float, LogPosterior]:
         """Return by factor the posterior with priors of other widths whose evidence is wanted, too; by default none."""
@@ -376,6 +382,8 @@ def _estimate(
     found, importance = integrate_posterior(
         posterior, explore_seed, importance_seed, sampler.walkers, effort, fine_enough
     )
+    if subject is not None:
+        answer_first(partial(_say_first, subject, found, importance, _seed_for(seed, name, "first")))
     draw = _draw_by_weights if sampler.is_preliminary else _draw_by_chains
     found, importance, drawn = draw(found, importance, seed, name, sampler, effort)
     sample = drawn.sample
@@ -414,6 +422,17 @@ def _estimate(
         others=tuple(others),
     )
     return estimate, found
+
+
+def _say_first(
+    subject: PosteriorProblem, found: Exploration, importance: ImportanceEvidence, seed: np.random.SeedSequence
+) -> str:
+    """Return a first answer in words: evidence, what some draws say, how many of the proposal's count."""
+    straight = found.straight
+    drawn = resample(straight.log_density, found.proposal, np.random.default_rng(seed), 4 * FIRST, FIRST)
+    more = subject.say_first(cast("LogPosterior", straight.posterior), straight.y_from_x(drawn.draws))
+    evidence = f"log-evidence {importance.log_evidence:.2f} ± {importance.standard_error:.2f}"
+    return "; ".join(filter(None, [more, evidence, f"ESS {100.0 * importance.efficiency:.0f} % (preliminary)"]))
 
 
 @dataclass(frozen=True, eq=False)

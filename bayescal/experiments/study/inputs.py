@@ -29,6 +29,7 @@ from bayescal.experiments.shared.study_schema import StudyConfig
 if TYPE_CHECKING:
     from bayescal.experiments.study.claims import Claims
 
+TRIED = 3  # variants of which some densities are timed
 PAGE, ROW = 8.0, 2e-3  # s, of tables and a page, and for each row
 WIDTHS = 0.15  # of a fit's time, for each factor on the widths of priors
 
@@ -78,10 +79,12 @@ class StudyInputs(ReadingInputs):
         from bayescal.experiments.shared.estimate import time_fit
         from bayescal.experiments.study.readings import ReadingSubject
 
-        config, posteriors = self.config, [one.posterior().with_pose_guesses() for one in self.variants.values()]
+        config, every = self.config, list(self.variants.values())
+        some = every[:: -(-len(every) // TRIED)]  # what one takes tells about what others take
+        posteriors = [one.posterior().with_pose_guesses() for one in some]
         widths = 1.0 + WIDTHS * sum(factor != 1.0 for factor in config.sensitivity.prior_width_factors)
         each = [widths * time_fit(ReadingSubject(one), config.sampler, config.evidence) for one in posteriors]
-        return PAGE + ROW * len(self.verification) + sum(each)
+        return PAGE + ROW * len(self.verification) + sum(each) * len(every) / len(some)
 
     def outlook(self) -> list[str]:
         """Return what each variant's readings can determine, and in lines what is not used or not there."""

@@ -28,6 +28,7 @@ from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.error_sizes import find_units
 from bayescal.experiments.shared.estimate import Arrays, Fit, PosteriorProblem, fit_posterior
 from bayescal.experiments.shared.function_errors import has_lengths, tabulate_functions, tabulate_model_error
+from bayescal.experiments.shared.headline import say_accuracy
 from bayescal.experiments.shared.posterior_files import (
     MODE,
     ReadingLayout,
@@ -43,6 +44,7 @@ from bayescal.experiments.shared.readings.knowledge import (
     IdentifiabilityResult,
     Learnt,
     compute_tool_uncertainty,
+    forecast_accuracy,
     learn_posterior,
     name_data,
     plain,
@@ -83,6 +85,7 @@ from bayescal.inference.stages import stage
 from bayescal.inference.target import LogPosterior
 from bayescal.machines.readings.gains import find_gains
 from bayescal.numerics.geometry import Array
+from bayescal.report.symbols import format_amount
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -149,7 +152,8 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
     """Return all that is found of a variant; its random numbers depend on the config's seed and the name alone."""
     variant, config = inputs.variants[name], inputs.config
     factors = [one for one in config.sensitivity.prior_width_factors if one != 1.0]
-    subject = ReadingSubject(variant.posterior().with_pose_guesses(), factors)
+    describe = partial(_describe_accuracy, inputs, variant)
+    subject = ReadingSubject(variant.posterior().with_pose_guesses(), factors, describe)
     posterior = subject.posterior
     fit = fit_posterior(subject, config.seed, name, config.sampler, config.evidence)
     y = fit.kept_of(0)  # a mean over several solutions is no machine
@@ -193,6 +197,15 @@ def fit_variant(inputs: ReadingInputs, name: str) -> ReadingFit:
         }
     tables = {key: table for key, table in tables.items() if not table.empty}
     return ReadingFit(**vars(packed), tables=tables, held=held, poses=poses)
+
+
+def _describe_accuracy(inputs: ReadingInputs, variant: Variant, posterior: CalibrationPosterior, y: Array) -> str:
+    """Return in words how accurate the tool is by draws (T, n)."""
+    with np.errstate(all="ignore"):
+        found = forecast_accuracy(variant, posterior, MachineInUse.find(posterior, y), inputs.config.seed)
+    shown = inputs.config.units.model_dump()
+    amounts = {name: format_amount(sd, unit, 2, shown) for name, unit, sd in found if np.isfinite(sd)}
+    return f"tool {say_accuracy(amounts)}" if amounts else ""
 
 
 def _tabulate_errors(
@@ -246,6 +259,7 @@ class ReadingSubject(PosteriorProblem):
 
     density: CalibrationPosterior
     factors: Sequence[float] = ()  # on the widths of all priors, whose evidences are wanted, too
+    describe: Callable[[CalibrationPosterior, Array], str] = lambda posterior, y: ""  # of a preliminary answer's draws
 
     @property
     def posterior(self) -> CalibrationPosterior:
@@ -282,6 +296,10 @@ class ReadingSubject(PosteriorProblem):
         if explored.likelihood.frozen is not None:
             return weigh_beside(explored, exploration) if exploration.left_out > MAX_FROZEN_ERROR_NAT else None
         return None if explored.likelihood.lone is None else weigh_beside(explored, exploration)
+
+    def say_first(self, posterior: LogPosterior, y: Array) -> str:
+        """Return the tool's accuracy as a preliminary answer has it."""
+        return self.describe(cast("CalibrationPosterior", posterior), y)
 
     def vary_priors(self, posterior: LogPosterior) -> Mapping[float, LogPosterior]:
         """Return the posterior with priors wider or narrower by each factor."""

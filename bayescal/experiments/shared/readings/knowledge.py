@@ -157,6 +157,16 @@ def _mask(found: WorkspaceErrorModel, at: LinearisedPoses) -> WorkspaceErrorMode
     return replace(found, noise=np.where(np.isfinite(at.noise)[..., None], found.noise, np.nan))
 
 
+def forecast_accuracy(
+    variant: Variant, posterior: CalibrationPosterior, machine: MachineInUse, seed: int
+) -> list[tuple[str, str, float]]:
+    """Return names and units of the tool's numbers with their standard uncertainties, rms over the workspace."""
+    at = linearise_workspace(variant, posterior, machine.y, np.random.default_rng([seed, 5]))
+    forecast, covariance = learn_posterior(variant, machine)(at)
+    variances = np.diagonal(forecast.covariance(covariance), axis1=-2, axis2=-1)
+    return list(zip(*name_tool(variant.model), np.sqrt(variances.mean(axis=0)).tolist(), strict=True))
+
+
 def learn_posterior(variant: Variant, machine: MachineInUse) -> Learnt:
     """Return what a posterior says of the tool.
 
