@@ -266,10 +266,15 @@ def draw_to_correct(
 
 
 def _sort(exploration: Exploration, draws: Array) -> np.ndarray:
-    """Return which component of the proposal each draw (S, n) belongs to, shape (S,)."""
-    if len(exploration.proposal.weights) == 1:
+    """Return which peak of the proposal each draw (S, n) belongs to, shape (S,).
+
+    Components about one centre, of which some are wider, are one peak.
+    """
+    proposal = exploration.proposal
+    _, peak = np.unique(proposal.means, axis=0, return_inverse=True)
+    if not peak.any():
         return np.zeros(len(draws), dtype=int)
-    return np.argmax(exploration.proposal.component_log_densities(draws), axis=0)
+    return np.asarray(peak.ravel()[np.argmax(proposal.component_log_densities(draws), axis=0)])
 
 
 def move_sample(sample: Sample, exploration: Exploration, correction: Correction) -> Sample:

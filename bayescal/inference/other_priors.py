@@ -29,11 +29,10 @@ from bayescal.inference.mode import find_modes
 from bayescal.inference.target import LogPosterior
 from bayescal.numerics.geometry import Array
 
-PROPOSED, DRAWN = 3000, 1536
+PROPOSED, DRAWN = 4000, 2048
 """Draws of the proposal, and those of the posterior among them."""
-WEIGHED = 384  # a round
-KNOWN = 0.01  # standard error in nats of the ratio that is enough
-SCATTER = 0.04  # and beyond which the other posterior is explored
+WEIGHED = 512  # a round
+SCATTER = 0.04  # standard error in nats of the ratio beyond which the other posterior is explored
 STEP = 0.1  # of the posterior's standard deviations, for the curvature of the priors' ratio
 
 
@@ -87,7 +86,7 @@ def _weigh(
     """Return what leads to another posterior from draws as `draw_to_correct` has them."""
     density, ratio = found.straight.log_density, _compare_priors(found, other)
     information = _curve(found, ratio, drawn[2])
-    moved = correct(CostlyDensity(density, ratio, information), *drawn, WEIGHED, enough=KNOWN)
+    moved = correct(CostlyDensity(density, ratio, information), *drawn, WEIGHED)
     if costly is None or correction is None or not moved.is_known_to(SCATTER):
         return moved
     whole = CostlyDensity(density, lambda x: ratio(x) + costly.excess(x), information)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bayescal.errors import NumericalError
 from bayescal.inference import stages
 from bayescal.inference.importance import evaluate_in_batches
 
@@ -35,6 +36,21 @@ def test_a_stage_says_its_share_and_how_long_the_rest_takes(clock):
     assert (second.stage, second.share, second.spent) == ("evidence", 0.0, 6.0)
     assert said[2] == stages.Report("evidence", 0.2, 8.0, (800 + 3000) * 2.0 / 200)
     assert (last.stage, last.left) == ("sampling", 3000 * 2.0 / 200)
+
+
+def test_a_first_answer_is_made_where_somebody_follows():
+    said = []
+
+    def fail():
+        raise NumericalError("no finite density")
+
+    stages.answer_first(lambda: said.append("made") or "x 1 mm")
+    assert not said
+    with stages.follow(lambda report: None, said.append):
+        stages.answer_first(lambda: "x 1 mm")
+        stages.answer_first(lambda: "")
+        stages.answer_first(fail)
+    assert said == ["x 1 mm"]
 
 
 def test_stages_within_a_stage_count_for_it(clock):

@@ -180,7 +180,7 @@ class Progress:
                     said = time.monotonic()
                     self.say(stage.describe())
 
-            with _repeat(look, LOOKED):
+            with _repeat(look, min(LOOKED, EVERY)):
                 yield stage
             self._say_answers(stage)
             self.say(stage.describe())

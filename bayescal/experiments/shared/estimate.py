@@ -431,7 +431,7 @@ def _say_first(
     straight = found.straight
     drawn = resample(straight.log_density, found.proposal, np.random.default_rng(seed), 4 * FIRST, FIRST)
     more = subject.say_first(cast("LogPosterior", straight.posterior), straight.y_from_x(drawn.draws))
-    evidence = f"log-evidence {importance.log_evidence:.2f} ± {importance.standard_error:.2f}"
+    evidence = f"log-evidence about {importance.log_evidence:.0f}"  # what the density leaves out is not known yet
     return "; ".join(filter(None, [more, evidence, f"ESS {100.0 * importance.efficiency:.0f} % (preliminary)"]))
 
 

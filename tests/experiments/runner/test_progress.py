@@ -17,7 +17,7 @@ from bayescal.experiments.runner import terminal as progress
 from bayescal.experiments.runner.engine import open_engine
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.terminal import Progress, Stage, describe_tasks
-from bayescal.inference.stages import Report
+from bayescal.inference.stages import Report, answer_first
 
 PATH = os.pathsep.join([str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])])  # for `staged`
 TASKS = {"one": 1, "two": 2}
@@ -41,6 +41,23 @@ def test_a_pipe_hears_of_long_stages(tmp_path, monkeypatch, capsys):
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("stage: 2 of 3 done, 0 s, about")
     assert re.fullmatch(r"stage: 3 of 3 .*\b[01] s", lines[-1])
+
+
+def test_a_first_answer_is_said_once(folders, capsys):
+    watch = progress.TaskWatch(("one", "two"))
+    marked = watch.mark({"one": 1})
+
+    def compute(shared, task):
+        answer_first(lambda: f"x {shared * task} mm")
+        return task
+
+    assert progress.run_marked((compute, 3), marked["one"]) == 1
+    with Progress(quiet=False).follow("sampling", 2, 0, watch) as stage:
+        stage.done += 1
+    assert capsys.readouterr().err.splitlines()[0] == "first answer, one: x 3 mm"
+    assert watch.read_answers() == []
+    assert stage.read() == {}
+    watch.close()
 
 
 @pytest.mark.runs

@@ -16,6 +16,7 @@ import pytest
 
 from bayescal.calibrated.functions import KnownFunctions
 from bayescal.density.calibration import fixed_covariance, likelihood, measurements
+from bayescal.errors import NumericalError
 from bayescal.experiments.runner import run as frame
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.runner.memory import GIB, MemoryEstimate
@@ -168,20 +169,34 @@ def test_the_time_of_a_fit_is_that_of_its_densities():
     ("seconds", "gibibytes", "expected"),
     [
         (None, 0.5, ""),
-        (59.0, 0.5, ""),
-        (150.0, 0.5, "this takes about 2 min with 2 workers"),
+        (118.0, 0.5, ""),
+        (300.0, 0.5, "this takes about 2 min with 2 workers"),
         (None, 2.0, "this takes at most 2.0 GiB of memory with 2 workers"),
-        (3600.0, 2.0, "this takes about 60 min and at most 2.0 GiB of memory with 2 workers"),
+        (7200.0, 2.0, "this takes about 60 min and at most 2.0 GiB of memory with 2 workers"),
     ],
 )
 def test_what_a_run_takes_is_said_where_it_is_much(seconds, gibibytes, expected):
-    class Long:
-        def estimate_seconds(self, inputs: object, workers: int) -> float | None:
-            assert workers == 2
-            return seconds
-
     need = MemoryEstimate(gibibytes * GIB - MemoryEstimate().sum_up(2), sizes="rows")
-    assert frame._tell_effort(frame.PreparedRun(Long(), None, need, [], {}), 2) == expected  # type: ignore[arg-type]
+    prepared = frame.PreparedRun(None, None, need, [], {})  # type: ignore[arg-type]
+    assert frame._tell_effort(prepared, seconds, 2) == expected
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(None, 2), (3.0, 1), (300.0, 2)])
+def test_a_short_run_takes_this_process_alone(seconds, expected, monkeypatch, tmp_path):
+    path: Path = calibrations.write_delta(tmp_path)
+    said = []
+
+    def open_engine(workers, *more):
+        said.append(workers)
+        raise NumericalError("enough")
+
+    monkeypatch.setattr(frame, "cpu_count", lambda: 2)
+    monkeypatch.setattr(frame, "open_engine", open_engine)
+    monkeypatch.setattr(frame, "_estimate_seconds", lambda prepared: seconds)
+    for workers in (None, 2):
+        with pytest.raises(NumericalError, match="enough"):
+            frame.run_experiment(load_experiment(path), path.parent, tmp_path / "out", workers)
+    assert said == [expected, 2]
 
 
 @pytest.mark.runs
