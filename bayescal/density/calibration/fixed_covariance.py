@@ -31,7 +31,16 @@ from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel
 from bayescal.density.components import MOST_ROWS, LinearRows, assemble, batches
 from bayescal.density.directions import list_directions
 from bayescal.density.elimination import Whitening
-from bayescal.density.linear_gaussian import condition, invert, weigh, weigh_left_out, whiten
+from bayescal.density.linear_gaussian import (
+    condition,
+    factorise,
+    half_log_det,
+    invert,
+    solve_factor,
+    weigh,
+    weigh_left_out,
+    whiten,
+)
 from bayescal.density.low_rank_covariance import LowRankCovariance, LowRankFactor
 from bayescal.numerics.geometry import Array
 
@@ -148,6 +157,26 @@ class FixedCovarianceRows:
         for part in batches(len(theta), rows.shape[1]):
             own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
             found[part] += self._weigh_left_out(self._assemble(own, weights), rows[part])
+        return np.where(np.isfinite(found), found, -np.inf)
+
+    def density_of_row(
+        self, likelihood: CalibrationLikelihood, theta: Array, errors: ErrorModel, zeta: Array, pose: int
+    ) -> Array:
+        """Return the log-likelihood of one pose's readings given all others, shape (B,).
+
+        Its rows stand last in the covariance: the last rows of a Cholesky factor are those given all before.
+        """
+        if self.few is not None:
+            return self.density_by_row(likelihood, theta, errors, zeta)[:, pose]
+        rows, rest = self._find_rows(likelihood, theta)
+        mine = self.kept // self.left.shape[-1] == pose
+        order, n = np.argsort(mine, kind="stable"), np.count_nonzero(mine)
+        found = rest[:, pose].copy()
+        for part in batches(len(theta), rows.shape[1]) if n else ():
+            own, weights = self._blocks(likelihood, errors, zeta[part]), errors.weights(zeta[part])
+            factor = factorise(self._assemble(own, weights)[:, order[:, None], order])
+            white = solve_factor(factor, rows[part][:, order, None])[:, -n:, 0]
+            found[part] -= half_log_det(factor[:, -n:, -n:]) + 0.5 * np.einsum("bi,bi->b", white, white)
         return np.where(np.isfinite(found), found, -np.inf)
 
     def density_of_others(

@@ -142,6 +142,11 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def density_of_row(self, theta: Array, errors: ErrorModel, zeta: Array, row: int) -> Array:
         """Return the log-likelihood of one pose's readings given all others, shape (B,)."""
+        if self.frozen is not None:
+            parts = self.batches(len(theta), MANY_ROWS)
+            return np.concatenate(
+                [self.frozen.density_of_row(self, theta[part], errors, zeta[part], row) for part in parts]
+            )
         if errors.has_columns:
             return super().density_of_row(theta, errors, zeta, row)
         if row not in self._alone:
