@@ -84,6 +84,7 @@ class NewtonSearch:
 
     def __init__(self, posterior: LogDensity, *, looks_along: bool = False) -> None:
         self.posterior, self.looks_along = posterior, looks_along
+        self.followed: dict[int, Climb | None] = {}  # where jumps from the best mode lead
         self._known: dict[tuple[bytes, float], Climb | None] = {}
         self._jumps: dict[bytes, list[tuple[int, Array]]] = {}
 
@@ -171,7 +172,8 @@ def _match_jumps(climber: NewtonSearch, first: Mode, modes: list[Mode]) -> dict[
         return {}
     matched: dict[int, Mode] = {}
     for jump, start in climber.mode_candidates(first.y):
-        end = climber.maximise(start, first.log_density - HOPELESS)
+        known = jump in climber.followed
+        end = climber.followed[jump] if known else climber.maximise(start, first.log_density - HOPELESS)
         for mode in modes:
             if end is not None and np.allclose(mode.y, end[0], rtol=0.0, atol=SAME):
                 matched[jump] = mode
@@ -207,11 +209,11 @@ def _follow_jumps(climber: NewtonSearch, best: Climb, known: Sequence[Climb] = (
     others = [climb for climb in known if climb is not best]
     came_from = -1
     while True:
-        improved = False
+        improved, climber.followed = False, {}
         for jump, start in climber.mode_candidates(best[0]):
             if jump == came_from:
                 continue  # leads back
-            other = climber.maximise(start, best[1] - HOPELESS)
+            other = climber.followed[jump] = climber.maximise(start, best[1] - HOPELESS)
             if other is None or any(np.allclose(other[0], known[0], rtol=0.0, atol=SAME) for known in (best, *others)):
                 continue
             if other[1] > best[1]:
