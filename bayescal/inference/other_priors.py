@@ -16,7 +16,6 @@ import numpy as np
 from bayescal.density.priors import Prior
 from bayescal.errors import NumericalError
 from bayescal.inference.correction import (
-    KNOWN_ENOUGH,
     Correction,
     CostlyDensity,
     correct,
@@ -90,7 +89,7 @@ def _weigh(
     if costly is None or correction is None or not moved.is_known_to(SCATTER):
         return moved
     whole = CostlyDensity(density, lambda x: ratio(x) + costly.excess(x), information)
-    return weigh_moved(whole, moved.move.then(correction.move), drawn[0], KNOWN_ENOUGH)
+    return weigh_moved(whole, moved.move.then(correction.move), drawn[0], SCATTER)
 
 
 def _compare_priors(found: Exploration, other: LogPosterior) -> LogDensity:
