@@ -33,7 +33,7 @@ from bayescal.report.blocks import (
 )
 from bayescal.report.glossary import find_terms
 from bayescal.report.numbers import NO_VALUE
-from bayescal.report.pictures import Picture, render_picture
+from bayescal.report.pictures import Picture, define_glyphs, render_picture
 from bayescal.report.scene import Scene
 from bayescal.report.symbols import split_symbol
 
@@ -134,7 +134,8 @@ def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[Page
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
         page=page,
         sections=sections,
-        pictures={name: picture.place(name) for name, picture in pictures.items()},
+        pictures={name: picture.place(f"f{k}", alone=False) for k, (name, picture) in enumerate(pictures.items())},
+        glyphs=define_glyphs(pictures.values()),
     )
 
 
