@@ -16,6 +16,7 @@ from bayescal.report.style import RC
 from bayescal.report.symbols import LONGEST_NAME, LONGEST_TEXT, make_label
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
 DPI, FINE_DPI = 120, 192
@@ -91,17 +92,25 @@ def render_picture(draw: Callable[[], Figure]) -> Picture:
 
 def _shorten(figure: Figure) -> None:
     """Cut a figure's texts, which others may have written, before their sizes are asked for."""
+    from matplotlib.axis import Axis
     from matplotlib.legend import Legend
     from matplotlib.text import Text
     from matplotlib.ticker import FuncFormatter
 
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):  # names at ticks are one, too
+    left: list[Artist] = [figure]
+    names = set[int]()
+    while left:
+        one = left.pop()
+        if isinstance(one, Text):
+            one.set_text(make_label(one.get_text(), LONGEST_NAME if id(one) in names else LONGEST_TEXT))
+        elif isinstance(one, Axis):  # texts at its ticks are made by its formatter
+            if isinstance(formatter := one.get_major_formatter(), FuncFormatter):  # names at ticks are one, too
                 formatter.func = partial(_write_tick, formatter.func)
-    names = {id(text) for one in figure.findobj(Legend) for text in one.get_texts()}
-    for text in figure.findobj(Text):
-        text.set_text(make_label(text.get_text(), LONGEST_NAME if id(text) in names else LONGEST_TEXT))
+            left += [one.label, one.offsetText]
+            continue
+        elif isinstance(one, Legend):
+            names |= {id(text) for text in one.get_texts()}
+        left += one.get_children()
 
 
 def _write_tick(write: Callable[[float, int | None], str], value: float, place: int | None = None) -> str:

@@ -31,7 +31,7 @@ COORDINATES, SHAPES = 1, 2  # decimals; the shape of a mark is drawn many times
 FONTS = {"DejaVuSans": "G", "DejaVuSans-Oblique": "O", "DejaVuSans-Bold": "B"}  # how ids of their glyphs begin
 text_to_path: Any = any_text_to_path  # whose types say less than it gives
 CAPS = {"projecting": "square", "butt": "butt", "round": "round"}
-SEGMENTS = {Path.LINETO: 1, Path.CURVE3: 2, Path.CURVE4: 3}  # points of each
+CONTROLS = {Path.CURVE3: 1, Path.CURVE4: 2}  # points of a curve before its end
 OFF_HALVES = 1e-5  # of the last digit: a layout that differs by less is rounded alike
 MOST_TEXTS, MOST_NUMBERS = 4096, 32768
 
@@ -433,62 +433,57 @@ def write_path(path: Any, decimals: int = COORDINATES) -> str:
     vertices = np.rint(path.vertices * 10.0**decimals + OFF_HALVES).astype(np.int64).tolist()
     steps: list[tuple[str, list[int]]] = []
     x = y = 0  # where the pen is
-    start = waiting = (0, 0)  # of this part; where it begins, as long as nothing of it is drawn
-    is_begun, is_dot, place = False, False, 0
-
-    def begin() -> None:
-        nonlocal x, y, is_begun, is_dot
-        if not is_begun:
-            steps.append(("m", [waiting[0] - x, waiting[1] - y]) if steps else ("M", list(waiting)))
-            x, y = waiting
-            is_begun, is_dot = True, False
-
-    codes = path.codes.tolist()
-    while place < len(codes):
-        code = codes[place]
+    start = waiting = [0, 0]  # of this part; where it begins, as long as nothing of it is drawn
+    is_begun = is_dot = False
+    controls: list[list[int]] = []  # points of a curve up to its end
+    for code, point in zip(path.codes.tolist(), vertices, strict=True):
         if code in (Path.MOVETO, Path.STOP):
-            if is_dot:  # a cap alone
-                begin()
-                steps.append(("h", [0]))
-            if code == Path.STOP:
-                break
-            waiting = start = tuple(vertices[place])
+            if is_dot and not is_begun:  # a cap alone
+                steps += [_move(waiting, x, y, steps), ("h", [0])]
+                x, y = waiting
+            waiting = start = point
             is_begun = is_dot = False
-            place += 1
         elif code == Path.CLOSEPOLY:
             if is_begun:
                 steps.append(("z", []))
                 x, y = waiting = start
                 is_begun = False
-            place += 1
+        elif code != Path.LINETO and len(controls) < CONTROLS[code]:
+            controls.append(point)
         else:
-            n = SEGMENTS[code]
-            points = vertices[place : place + n]
-            place += n
-            from_x, from_y = (x, y) if is_begun else waiting
-            if all(point == [from_x, from_y] for point in points):
-                is_dot = not is_begun
-                continue
-            begin()
-            moves = [one for to_x, to_y in points for one in (to_x - x, to_y - y)]
-            x, y = points[-1]
-            if n > 1:
-                steps.append(("q" if n == 2 else "c", moves))
-            elif moves[0] and moves[1]:
-                steps.append(("l", moves))
-            else:
-                letter, step = ("h", moves[0]) if moves[0] else ("v", moves[1])
-                if steps[-1][0] == letter and (steps[-1][1][0] > 0) == (step > 0):
-                    steps[-1][1][0] += step
+            if not is_begun:
+                if point == waiting and all(one == waiting for one in controls):
+                    is_dot, controls = True, []
+                    continue
+                steps.append(_move(waiting, x, y, steps))
+                x, y = waiting
+                is_begun = True
+            to_x, to_y = point
+            across, down = to_x - x, to_y - y
+            if controls:
+                letter = "q" if len(controls) == 1 else "c"
+                steps.append((letter, [one for at, on in (*controls, point) for one in (at - x, on - y)]))
+                controls = []
+            elif across and down:
+                steps.append(("l", [across, down]))
+            elif step := across or down:
+                letter, (last, numbers) = "h" if across else "v", steps[-1]
+                if last == letter and (numbers[0] > 0) == (step > 0):
+                    numbers[0] += step
                 else:
                     steps.append((letter, [step]))
+            x, y = to_x, to_y
     return _join_steps(steps, decimals)
 
 
+def _move(to: Sequence[int], x: int, y: int, before: Sequence[object]) -> tuple[str, list[int]]:
+    return ("m", [to[0] - x, to[1] - y]) if before else ("M", list(to))
+
+
 def _join_steps(steps: Iterable[tuple[str, list[int]]], decimals: int) -> str:
-    parts, last = list[str](), ""
+    """Return letters and numbers with what keeps them apart where it is needed."""
+    parts, last, before = list[str](), "", ""
     for letter, numbers in steps:
-        before = "-" if letter != last else parts[-1]
         if letter != last or letter == "m":
             parts.append(letter)
             before = ""

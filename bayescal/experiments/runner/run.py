@@ -48,7 +48,7 @@ from bayescal.files.manifest import MANIFEST, list_written, renew_manifest, writ
 from bayescal.files.memory import MemoryPath
 from bayescal.report.blocks import Page, Statement
 from bayescal.report.findings import FindingRow, tabulate_findings
-from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
+from bayescal.report.page import PAGE, collect_seldom, is_of_page, show_provenance, write_page
 from bayescal.report.pictures import Picture
 
 if TYPE_CHECKING:
@@ -370,6 +370,7 @@ def _draw(what: str, draw: Callable[[], Picture]) -> tuple[Picture, Loss | None]
     return (Picture(b"", failure=f"{losses[0].say()}."), losses[0]) if found is None else (found, None)
 
 
+@collect_seldom()
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """Write the page of a results directory again, from its files alone, many pictures side by side.
 
