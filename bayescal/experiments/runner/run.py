@@ -59,7 +59,7 @@ FOUND_LATE = "detected during the run"
 THE_PAGE = "the page"
 SHORT = 15.0  # s of one core, up to which other processes take longer to start than they save
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
-MANY_PICTURES = 10  # fewer are drawn before other processes have started
+MANY_PICTURES = 64  # fewer are drawn before other processes have started, at half of their CPU time
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,18 +298,18 @@ def _ask(question: Callable[[object], list[str]], inputs: object) -> list[str]:
         return []
 
 
+@collect_seldom()
 def _write(
     experiment: AnyExperiment, blocks: Sequence[PageBlock], results: Results, folder: Path, workers: int
 ) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
-    with start_ahead(workers, experiment.page_imports) as await_workers:
-        write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-        with note_losses() as losses:
-            page = attempt(THE_PAGE, lambda: _build_page(experiment, folder), None)
-            page = _make_empty_page(results) if page is None else page
-        page, more = _write_page(page, blocks, folder, losses, workers, await_workers)
+    write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+    with note_losses() as losses:
+        page = attempt(THE_PAGE, lambda: _build_page(experiment, folder), None)
+        page = _make_empty_page(results) if page is None else page
+    page, more = _write_page(page, blocks, folder, losses, workers)
     write_table(FindingRow.table, tabulate_findings(page.verdict), folder, experiment.tables_in)
     lost = [*list_losses(summary), *losses, *more]
     summary |= {LOST_PARTS: record_losses(lost)} if lost else {}
@@ -338,7 +338,6 @@ def _write_page(
     folder: Path,
     losses: Sequence[Loss],
     workers: int,
-    await_workers: Callable[[], None] = lambda: None,
 ) -> tuple[Page, list[Loss]]:
     """Write a page and what user-defined blocks show; return it and what could not be shown besides ``losses``."""
     results = read_results(folder, checked=False)
@@ -350,8 +349,6 @@ def _write_page(
     if earlier is None:  # new ones: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
-    if many:
-        await_workers()
     not_drawn: list[Loss] = []
 
     def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
