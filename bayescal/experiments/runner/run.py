@@ -306,10 +306,11 @@ def _write(
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
     write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+    written = read_results(folder, checked=False)
     with note_losses() as losses:
-        page = attempt(THE_PAGE, lambda: _build_page(experiment, folder), None)
+        page = attempt(THE_PAGE, lambda: _build_page(experiment, written), None)
         page = _make_empty_page(results) if page is None else page
-    page, more = _write_page(page, blocks, folder, losses, workers)
+    page, more = _write_page(page, blocks, written, folder, losses, workers)
     write_table(FindingRow.table, tabulate_findings(page.verdict), folder, experiment.tables_in)
     lost = [*list_losses(summary), *losses, *more]
     summary |= {LOST_PARTS: record_losses(lost)} if lost else {}
@@ -318,9 +319,9 @@ def _write(
     return page
 
 
-def _build_page(experiment: AnyExperiment, folder: Path) -> Page:
+def _build_page(experiment: AnyExperiment, results: Results) -> Page:
     try:
-        return experiment.page(read_results(folder, checked=False))
+        return experiment.page(results)
     except InputError as error:  # of results that were written just now: nobody's input
         raise NumericalError(str(error)) from error
 
@@ -335,12 +336,12 @@ def _make_empty_page(results: Results) -> Page:
 def _write_page(
     page: Page,
     blocks: Sequence[PageBlock],
+    results: Results,
     folder: Path,
     losses: Sequence[Loss],
     workers: int,
 ) -> tuple[Page, list[Loss]]:
     """Write a page and what user-defined blocks show; return it and what could not be shown besides ``losses``."""
-    results = read_results(folder, checked=False)
     with note_losses() as lost:
         page = add_blocks(page, results, blocks)
     every = dict.fromkeys([*list_losses(results.summary), *losses, *lost])
@@ -388,7 +389,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         for one in losses:
             if one.what not in {other.what for other in known}:  # a run would have told it
                 raise ValueError(one.say())
-        _write_page(page, blocks, folder, losses, workers)
+        _write_page(page, blocks, results, folder, losses, workers)
         renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
