@@ -11,6 +11,7 @@ import io
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from inspect import signature
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -189,6 +190,8 @@ class SvgRenderer(RendererBase):
     ) -> None:
         """Write marks at points, or lines and areas of the same kind."""
         helpers: Any = self  # of matplotlib, for those who draw collections
+        if "hatchcolors" in signature(helpers._iter_collection).parameters:  # since 3.11
+            more = {"hatchcolors": [], **more}
         shapes = [
             path.cleaned(transform + Affine2D().scale(self.scale, -self.scale), remove_nans=True, curves=True)
             for path, transform in helpers._iter_collection_raw_paths(master_transform, paths, all_transforms)

@@ -134,6 +134,18 @@ def test_pixels_hatches_dashes_and_mathematics_are_there():
     assert re.search(r'<use href="#O\w+" transform="translate\([\d.-]+ [\d.-]+\)scale\(\.?\d+\)"/>', markup)
 
 
+def test_meshes_contours_and_arrows_are_areas():
+    def draw(figure: Figure) -> None:
+        left, right = figure.subplots(1, 2)
+        figure.colorbar(left.pcolormesh(np.arange(6.0).reshape(2, 3)), ax=left)
+        right.contourf(np.add.outer(np.arange(5.0) ** 2, np.arange(5.0)))
+        right.annotate("here", (1.0, 1.0), (3.0, 3.0), arrowprops={"arrowstyle": "->"})
+
+    markup = show(draw)
+    filled = re.findall(r'<path d="([^"]*)" fill="(#\w+)"', markup)
+    assert len({colour for _, colour in filled}) > 6 + 200  # of the mesh, and of the bar beside it
+
+
 def test_texts_that_stand_twice_are_written_once():
     def draw(figure: Figure) -> None:
         figure.subplots()
