@@ -1,14 +1,22 @@
-"""What figures are laid out and drawn on: every text is measured once, whatever figure it stands in."""
+"""What figures are laid out and drawn on, as pixels and as SVG at once; every text is measured once."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.font_manager import FontProperties
 
+from bayescal.report.svg import SvgRenderer
+
 MOST_TEXTS = 8192
+DRAWN = (
+    *("draw_path", "draw_markers", "draw_path_collection", "draw_quad_mesh", "draw_gouraud_triangles"),
+    *("draw_image", "draw_text", "draw_tex", "open_group", "close_group", "start_filter"),
+)
 
 
 class Canvas(FigureCanvasAgg):
@@ -20,6 +28,30 @@ class Canvas(FigureCanvasAgg):
         if self._lastKey != size:
             self.renderer, self._lastKey = Renderer(*size), size  # type: ignore[no-untyped-call]  # of matplotlib
         return self.renderer
+
+    def draw_both(self, tips: Mapping[str, Sequence[str]]) -> tuple[bytes, SvgRenderer]:
+        """Draw the figure once; return it as PNG and as SVG, with tips at the marks of groups."""
+        renderer = self.get_renderer()
+        svg = SvgRenderer(renderer.width, renderer.height, self.figure.dpi, tips)
+        for name in DRAWN:
+            setattr(renderer, name, _do_both(getattr(renderer, name), getattr(svg, name)))
+        png = self.save()
+        self._lastKey = None  # what is drawn next is drawn as pixels alone
+        return png, svg
+
+    def save(self) -> bytes:
+        """Return the figure as PNG."""
+        buffer = io.BytesIO()
+        self.print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]  # of matplotlib
+        return buffer.getvalue()
+
+
+def _do_both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
+    def do(*arguments: Any, **more: Any) -> None:
+        first(*arguments, **more)
+        second(*arguments, **more)
+
+    return do
 
 
 class Renderer(RendererAgg):

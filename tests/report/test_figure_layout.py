@@ -29,7 +29,7 @@ def draw_shared() -> Figure:
 
 
 def test_a_figure_has_ids_of_its_own():
-    markup = str(render_picture(draw_shared).place("errors"))
+    markup = str(render_picture(draw_shared).place("errors", alone=False))
     ids = re.findall(r' id="([^"]+)"', markup)
     assert markup.count("<svg") == 1
     assert ids

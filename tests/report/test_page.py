@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from html_reader import Reader
+from html_reader import Reader, leave_out_script
 from matplotlib import rc_context
 from matplotlib.figure import Figure as Drawing
 
@@ -41,7 +41,7 @@ from bayescal.report.blocks import (
     make_table,
 )
 from bayescal.report.page import format_config, make_prose, render_page, set_symbol, show_provenance, write_page
-from bayescal.report.pictures import render_picture
+from bayescal.report.pictures import Picture, render_picture
 from bayescal.report.scene import Scene, SceneLine, ScenePoint, choose_magnification
 
 pytestmark = pytest.mark.usefixtures("pictures")
@@ -72,7 +72,7 @@ def test_page_holds_everything_it_shows(tmp_path):
     assert {one.name for one in (tmp_path / "figures").iterdir()} == {"a.png", "b.png"}
     assert (tmp_path / "figures/a.png").read_bytes() == render_picture(draw).png
     assert render_picture(draw).png.startswith(b"\x89PNG")
-    assert len(re.findall(r"<svg ", text)) == 2
+    assert len(re.findall(r'<svg [^>]*role="img"', text)) == 2
     reader = Reader(text)
     assert reader.open == []
     assert all(reference.startswith(("#", "data:")) for reference in reader.references)
@@ -219,7 +219,8 @@ def test_a_figure_tells_its_values_and_what_is_seen():
         axes.set_xlabel("Error (µm)")
         return drawing
 
-    markup = render_picture(bars).place("errors")
+    picture = render_picture(bars)
+    markup = picture.place("errors")
     assert markup.startswith("<svg ")
     assert "<title>&lt;beam&gt;; Error (µm) 8.6</title>" in markup
     assert "<title>τ = 0; six_pus; Error (µm) 1</title>" in markup
@@ -227,9 +228,36 @@ def test_a_figure_tells_its_values_and_what_is_seen():
     assert re.search(label, markup)
     ids = re.findall(r' id="([^"]+)"', markup)
     assert ids
-    assert all(one.startswith("errors-") for one in ids)
+    assert all(one.startswith("errors-") or one in picture.glyphs for one in ids)
     assert set(re.findall(r'(?:href="#|url\(#)([^")]+)', markup)) <= set(ids)
     assert Reader(markup).open == []
+
+
+def find_ids(text: str) -> tuple[list[str], set[str]]:
+    """Return the ids of a page's pictures, and what they refer to."""
+    drawn = "".join(re.findall(r"<svg.*?</svg>", text, re.DOTALL))
+    return re.findall(r' id="([^"]+)"', drawn), set(re.findall(r'(?:href="#|url\(#)([^")]+)', drawn))
+
+
+def test_pictures_of_a_page_share_their_glyphs(tmp_path):
+    text = write_page(make_page(*(Figure(name, "", draw) for name in "abc")), tmp_path).read_text(encoding="utf-8")
+    ids, used = find_ids(text)
+    every = re.findall(r' id="([^"]+)"', leave_out_script(text))
+    assert len(every) == len(set(every))
+    assert set(ids) == used  # everything that is defined is drawn, and the other way round
+    glyphs = render_picture(draw).glyphs
+    assert glyphs
+    assert all(text.count(glyph) == 1 for glyph in glyphs.values())
+    alone = render_picture(draw).place("a")
+    ids, used = find_ids(alone)
+    assert used == set(ids) >= set(glyphs)
+
+
+def test_a_picture_of_pixels_needs_no_glyphs():
+    page = make_page(Figure("a", "", draw))
+    assert 'class="glyphs"' in render_page(page, {"a": render_picture(draw)})
+    assert 'class="glyphs"' not in render_page(page, {"a": Picture(b"", "<img>")})
+    assert 'class="glyphs"' not in render_page(make_page(), {})
 
 
 def test_a_cloud_that_is_smaller_as_pixels_is_a_fine_png():

@@ -47,8 +47,6 @@ class Experiment[C: ExperimentConfig, I](ABC):
         Whether it is asked again as data grow: results of the same config may be replaced then.
     imports : tuple of str
         Modules that its tasks need, first the one that computes: workers import them while this process imports that.
-    page_imports : tuple of str
-        Modules that its many pictures need: workers import them while results are written and the page is made.
     """
 
     schema: ClassVar[type[ExperimentConfig]]
@@ -57,7 +55,6 @@ class Experiment[C: ExperimentConfig, I](ABC):
     digits: ClassVar[int] = 9
     asked_again: ClassVar[bool] = False
     imports: ClassVar[tuple[str, ...]] = ()
-    page_imports: ClassVar[tuple[str, ...]] = ()
 
     def files(self, config: C, folder: Path) -> list[str]:
         """Return the input files that belong to the experiment's identity, relative to the config's folder.

@@ -48,7 +48,7 @@ from bayescal.files.manifest import MANIFEST, list_written, renew_manifest, writ
 from bayescal.files.memory import MemoryPath
 from bayescal.report.blocks import Page, Statement
 from bayescal.report.findings import FindingRow, tabulate_findings
-from bayescal.report.page import PAGE, is_of_page, show_provenance, write_page
+from bayescal.report.page import PAGE, collect_seldom, is_of_page, show_provenance, write_page
 from bayescal.report.pictures import Picture
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ FOUND_LATE = "detected during the run"
 THE_PAGE = "the page"
 SHORT = 15.0  # s of one core, up to which other processes take longer to start than they save
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
-MANY_PICTURES = 10  # fewer are drawn before other processes have started
+MANY_PICTURES = 64  # fewer are drawn before other processes have started, at half of their CPU time
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,18 +298,19 @@ def _ask(question: Callable[[object], list[str]], inputs: object) -> list[str]:
         return []
 
 
+@collect_seldom()
 def _write(
     experiment: AnyExperiment, blocks: Sequence[PageBlock], results: Results, folder: Path, workers: int
 ) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
-    with start_ahead(workers, experiment.page_imports) as await_workers:
-        write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
-        with note_losses() as losses:
-            page = attempt(THE_PAGE, lambda: _build_page(experiment, folder), None)
-            page = _make_empty_page(results) if page is None else page
-        page, more = _write_page(page, blocks, folder, losses, workers, await_workers)
+    write_results(replace(results, summary=summary), folder, experiment.tables_in, experiment.digits)
+    written = read_results(folder, checked=False)
+    with note_losses() as losses:
+        page = attempt(THE_PAGE, lambda: _build_page(experiment, written), None)
+        page = _make_empty_page(results) if page is None else page
+    page, more = _write_page(page, blocks, written, folder, losses, workers)
     write_table(FindingRow.table, tabulate_findings(page.verdict), folder, experiment.tables_in)
     lost = [*list_losses(summary), *losses, *more]
     summary |= {LOST_PARTS: record_losses(lost)} if lost else {}
@@ -318,9 +319,9 @@ def _write(
     return page
 
 
-def _build_page(experiment: AnyExperiment, folder: Path) -> Page:
+def _build_page(experiment: AnyExperiment, results: Results) -> Page:
     try:
-        return experiment.page(read_results(folder, checked=False))
+        return experiment.page(results)
     except InputError as error:  # of results that were written just now: nobody's input
         raise NumericalError(str(error)) from error
 
@@ -335,13 +336,12 @@ def _make_empty_page(results: Results) -> Page:
 def _write_page(
     page: Page,
     blocks: Sequence[PageBlock],
+    results: Results,
     folder: Path,
     losses: Sequence[Loss],
     workers: int,
-    await_workers: Callable[[], None] = lambda: None,
 ) -> tuple[Page, list[Loss]]:
     """Write a page and what user-defined blocks show; return it and what could not be shown besides ``losses``."""
-    results = read_results(folder, checked=False)
     with note_losses() as lost:
         page = add_blocks(page, results, blocks)
     every = dict.fromkeys([*list_losses(results.summary), *losses, *lost])
@@ -350,8 +350,6 @@ def _write_page(
     if earlier is None:  # new ones: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
     many = sum(1 for _ in page.figures()) >= MANY_PICTURES
-    if many:
-        await_workers()
     not_drawn: list[Loss] = []
 
     def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
@@ -370,6 +368,7 @@ def _draw(what: str, draw: Callable[[], Picture]) -> tuple[Picture, Loss | None]
     return (Picture(b"", failure=f"{losses[0].say()}."), losses[0]) if found is None else (found, None)
 
 
+@collect_seldom()
 def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
     """Write the page of a results directory again, from its files alone, many pictures side by side.
 
@@ -390,7 +389,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         for one in losses:
             if one.what not in {other.what for other in known}:  # a run would have told it
                 raise ValueError(one.say())
-        _write_page(page, blocks, folder, losses, workers)
+        _write_page(page, blocks, results, folder, losses, workers)
         renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -42,7 +42,6 @@ class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, Calibrat
     rows = ROWS
     tables_of_machine = ("parameters", "errors")
     imports = ("bayescal.experiments.study.compute", "arviz_stats", "emcee")
-    page_imports = ("bayescal.report.canvas", "bayescal.experiments.study.page.build")
 
     def machines(self, config: StudyConfig) -> list[str]:
         """Return the files of the machine, those of single variants too."""

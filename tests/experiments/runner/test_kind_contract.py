@@ -187,7 +187,9 @@ def test_a_page_begins_with_figures_and_few_sentences(finished):
     check_first_sight((finished[2] / "report.html").read_text(), ":" not in finished[0])
 
 
-PICTURED = rb'(?s)<div class="picture">.*?</div>|(?<="report.html": )"\w+"|"figures/[^"]*": "\w+"'
+PICTURED = (
+    rb'(?s)<div class="picture">.*?</div>|<svg class="glyphs".*?</svg>|(?<="report.html": )"\w+"|"figures/[^"]*": "\w+"'
+)
 """What a page shows of pictures, and what a manifest says of these."""
 
 

@@ -122,6 +122,7 @@ class StudyResults:
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
     n_chains: int = 1  # of the draws, in which they are laid end to end
     modes: dict[str, np.ndarray] = field(default_factory=dict)  # to which of several solutions they belong, from 1
+    _read: dict[tuple[type[TableRow], str | None], list[Any]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, results: Results) -> Self:
@@ -175,7 +176,10 @@ class StudyResults:
 
     def rows[R: TableRow](self, row: type[R], variant: str | None = None) -> list[R]:
         """Return the rows of a table, or a variant's; those of its first solution where there are several."""
-        return row.read(self.table(row.table, variant))
+        key = (row, variant)
+        if key not in self._read:
+            self._read[key] = row.read(self.table(row.table, variant))
+        return list(self._read[key])
 
     def list_solutions(self, variant: str) -> list[ParameterRow]:
         """Return the parameters of all solutions of a variant that has several."""
