@@ -50,6 +50,7 @@ def is_of_page(name: str) -> bool:
 
 
 FIGURE = re.compile(rf"{FIGURES}/[A-Za-z0-9_-]+\.png")
+CODE = re.compile(r"`([^`]+)`")
 SUBSCRIPT = re.compile(r"(?<![\w&#;.])(Δ?[A-Za-zα-ω])_([A-Za-z0-9]{1,2})(?!\w)")
 SUPERSCRIPT = re.compile(r"(?<![\w&#])([A-Za-zα-ω])\^([A-Za-z0-9])(?!\w)")
 
@@ -180,7 +181,7 @@ def make_prose(symbols: Sequence[str] = ()) -> Callable[[str], Markup]:
         return f"{symbol.removesuffix('</sub>')},{found[2]}</sub>" if within else f"{symbol}<sub>{found[2]}</sub>"
 
     def prose(text: str) -> Markup:
-        marked = str(escape(bind_units(text)))
+        marked = CODE.sub(r"<code>\1</code>", str(escape(bind_units(text))))
         if pattern is not None:
             marked = pattern.sub(replace, marked)
         lowered = SUBSCRIPT.sub(r"<i>\1</i><sub>\2</sub>", marked)

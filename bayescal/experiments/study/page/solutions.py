@@ -37,17 +37,22 @@ def state_solutions(study: StudyResults) -> list[Statement]:
     found = []
     for name in dict.fromkeys([study.chosen, *study.ranking]):
         fit = study.fit(name)
-        n, small = count_solutions(fit), fit.get("other_modes")
-        if n > 1:
+        if (n := count_solutions(fit)) > 1:
             rows = study.list_solutions(name)
             differ = name_some(list(dict.fromkeys(row.parameter for row in rows if row.verdict == "several")))
             text = f"{study.label(name)} has {n} separate solutions{f', which differ in {differ}' if differ else ''}."
             action = "Add a measurement or tolerance."
             found.append(Statement(text, "warning", LEAD, value=n, limit=1.0, action=action))
-        if small:
-            text = (
-                f"{study.label(name)}: solutions of {format_fixed(100.0 * float(small), 2)} % probability are left out."
-            )
+    return found
+
+
+def state_left_out(study: StudyResults) -> list[Statement]:
+    """Return for each variant with solutions that are not shown how probable these are together."""
+    found = []
+    for name in dict.fromkeys([study.chosen, *study.ranking]):
+        if small := study.fit(name).get("other_modes"):
+            share = format_fixed(100.0 * float(small), 2)
+            text = f"{study.label(name)}: solutions of {share} % probability are left out."
             found.append(Statement(text, "plain", LEAD, value=float(small)))
     return found
 

@@ -32,7 +32,7 @@ from bayescal.experiments.study.page.functions import state_functions
 from bayescal.experiments.study.page.model_error import state_terms
 from bayescal.experiments.study.page.parameters import state_undetermined
 from bayescal.experiments.study.page.results import ALL, StudyResults, get_number
-from bayescal.experiments.study.page.solutions import count_solutions
+from bayescal.experiments.study.page.solutions import count_solutions, state_left_out
 from bayescal.experiments.study.page.soundness import (
     COVERAGE,
     has_warnings,
@@ -198,6 +198,7 @@ def state_verdict(study: StudyResults) -> list[Statement]:
         *state_comparison(study),
         *knowledge_page.state_next(study.tables, study.chosen, study.units),
         *state_terms(study),
+        *state_left_out(study),
     ]
     return silence(study, found)
 
