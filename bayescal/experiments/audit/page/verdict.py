@@ -189,11 +189,14 @@ def _state_freedom(results: AuditResults) -> Iterator[Statement]:
     if results.n_identifiable == n:
         yield Statement(f"All {n} parameters are determined together.", "good", "Parameters", value=n, limit=n)
         return
-    for verdict, said in (("not", "not determined"), ("weak", "uncertainty not halved")):
+    for verdict, one, several in (
+        ("not", "is not determined", "are not determined"),
+        ("weak", "keeps more than half of its uncertainty", "keep more than half of their uncertainty"),
+    ):
         names = [row.parameter for row in results.parameters if row.verdict == verdict]
         if names:
-            verb = "is" if len(names) == 1 else "are"
-            text = f"{len(names)} of {n} parameters {verb} {said}: {name_some(names)}."
+            said = one if len(names) == 1 else several
+            text = f"{len(names)} of {n} parameters {said}: {name_some(names)}."
             yield Statement(text, "warning", "Parameters", value=len(names), limit=0.0)
 
 
