@@ -8,12 +8,9 @@ from typing import Any
 
 from rich.console import Console
 
-from bayescal.experiments.audit.compute import compute_audit
 from bayescal.experiments.audit.design import AuditDesign, read_design
-from bayescal.experiments.audit.page.build import build_page
 from bayescal.experiments.audit.rows import ROWS
 from bayescal.experiments.audit.schema import AuditConfig
-from bayescal.experiments.audit.terminal import show_audit
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.parallel import Run
@@ -72,14 +69,20 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
 
     def compute(self, inputs: AuditDesign, run: Run) -> Results:
         """Return everything the audit says."""
+        from bayescal.experiments.audit.compute import compute_audit  # pandas, for those who compute
+
         return compute_audit(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the audit's page."""
+        from bayescal.experiments.audit.page.build import build_page  # with matplotlib, for those who make pages
+
         return build_page(results)
 
     def show(self, results: Results, page: Page, console: Console) -> None:
         """Print the verdict, what is known of each symbol, and the requirements."""
+        from bayescal.experiments.audit.terminal import show_audit
+
         show_audit(results, page, console)
 
     def list_failures(self, results: Results) -> list[str]:

@@ -8,7 +8,6 @@ from bayescal.config.load import check_section
 from bayescal.errors import InputError
 from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next_pose
 from bayescal.experiments.next_pose.inputs import NextPoseInputs, read_next_pose
-from bayescal.experiments.next_pose.page import build_page
 from bayescal.experiments.next_pose.rows import ROWS
 from bayescal.experiments.next_pose.schema import NextPoseConfig
 from bayescal.experiments.runner.load import load
@@ -16,6 +15,7 @@ from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.derived import DerivedExperiment
+from bayescal.report.blocks import Page
 
 DRAWS = 8
 """Arrays of all draws by requirements at every pose of the workspace."""
@@ -28,7 +28,12 @@ class NextPose(DerivedExperiment[NextPoseConfig, NextPoseInputs]):
     rows = ROWS
     asked_again = True
     read = staticmethod(read_next_pose)
-    page = staticmethod(build_page)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        from bayescal.experiments.next_pose.page import build_page  # with matplotlib, for those who make pages
+
+        return build_page(results)
 
     def estimate_memory(self, inputs: NextPoseInputs) -> MemoryEstimate:
         """Return what candidates take, seen by every variant, and draws over the workspace."""

@@ -11,7 +11,6 @@ from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.selection.compute import check_problems, compute_selections
 from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
-from bayescal.experiments.selection.page import build_page
 from bayescal.experiments.selection.rows import ROWS
 from bayescal.experiments.selection.schema import SelectionConfig
 from bayescal.experiments.selection.verdict import Tables
@@ -54,4 +53,6 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
 
     def page(self, results: Results) -> Page:
         """Return the page."""
+        from bayescal.experiments.selection.page import build_page  # with matplotlib, for those who make pages
+
         return build_page(Tables(self.config_of(results), results))

@@ -10,10 +10,10 @@ from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.selftest.compute import compute_selftest
 from bayescal.experiments.selftest.inputs import SelftestInputs, read_selftest
-from bayescal.experiments.selftest.page import build_page
 from bayescal.experiments.selftest.rows import ROWS
 from bayescal.experiments.selftest.schema import SelftestConfig
 from bayescal.experiments.shared.derived import DerivedExperiment
+from bayescal.report.blocks import Page
 
 DRAWS, RANKS = 6, 4
 """Arrays of all draws of a posterior, and of all ranks."""
@@ -28,7 +28,12 @@ class Selftest(DerivedExperiment[SelftestConfig, SelftestInputs]):
 
     read = staticmethod(read_selftest)
     compute = staticmethod(compute_selftest)
-    page = staticmethod(build_page)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        from bayescal.experiments.selftest.page import build_page  # with matplotlib, for those who make pages
+
+        return build_page(results)
 
     def estimate_memory(self, inputs: SelftestInputs) -> MemoryEstimate:
         """Return what one data set's posterior takes, two data sets in one where the truth is of the posterior."""

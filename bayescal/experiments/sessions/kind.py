@@ -8,10 +8,10 @@ from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.sessions.compute import compute_sessions, count_kept
 from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
-from bayescal.experiments.sessions.page import build_page
 from bayescal.experiments.sessions.rows import ROWS
 from bayescal.experiments.sessions.schema import SessionsConfig
 from bayescal.experiments.shared.derived import DerivedExperiment
+from bayescal.report.blocks import Page
 
 JOINT, JACOBIANS, DRAWS, SCRATCH = 12, 8, 6, 24
 """Arrays of all unknowns by each other, of all rows by one session's, of draws by all unknowns, and of each session's
@@ -29,7 +29,12 @@ class Sessions(DerivedExperiment[SessionsConfig, SessionsInputs]):
     tables_in = "tables"
     read = staticmethod(read_sessions)
     compute = staticmethod(compute_sessions)
-    page = staticmethod(build_page)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        from bayescal.experiments.sessions.page import build_page  # with matplotlib, for those who make pages
+
+        return build_page(results)
 
     def list_warnings(self, inputs: SessionsInputs, *, before_run: bool = False) -> list[str]:
         """Return whether temperatures are stated that nothing is made of."""

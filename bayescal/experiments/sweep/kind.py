@@ -10,7 +10,6 @@ from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.sweep.compute import compute_sweep, list_missing
 from bayescal.experiments.sweep.inputs import SweepInputs, list_files, read_sweep
-from bayescal.experiments.sweep.page import build_page
 from bayescal.experiments.sweep.rows import ROWS
 from bayescal.experiments.sweep.schema import SweepConfig
 from bayescal.report.blocks import Page
@@ -53,4 +52,6 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
 
     def page(self, results: Results) -> Page:
         """Return the page."""
+        from bayescal.experiments.sweep.page import build_page  # with matplotlib, for those who make pages
+
         return build_page(self.config_of(results), results)

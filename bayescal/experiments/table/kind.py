@@ -8,9 +8,9 @@ from bayescal.experiments.shared.derived import DerivedExperiment
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling, list_variant
 from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
-from bayescal.experiments.table.page import build_page
 from bayescal.experiments.table.rows import ROWS
 from bayescal.experiments.table.schema import TableConfig
+from bayescal.report.blocks import Page
 
 RESPONSES, ELSEWHERE, SLOPES = 4, 64, 6
 """Arrays of all draws' responses at all places, poses beside the table's, and arrays of derivatives at all places."""
@@ -23,7 +23,12 @@ class LookUpTable(DerivedExperiment[TableConfig, TableInputs]):
     rows = ROWS
     read = staticmethod(read_table)
     compute = staticmethod(compute_table)
-    page = staticmethod(build_page)
+
+    def page(self, results: Results) -> Page:
+        """Return the page."""
+        from bayescal.experiments.table.page import build_page  # with matplotlib, for those who make pages
+
+        return build_page(results)
 
     def estimate_memory(self, inputs: TableInputs) -> MemoryEstimate:
         """Return what every draw does at every place of the table, and what its study takes."""

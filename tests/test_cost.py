@@ -1,0 +1,71 @@
+"""What runs cost that does not vary with the computer: modules imported, densities, factorisations, bytes of a page.
+
+Limits are a tenth above what was counted when they were written; whoever needs more says why.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from math import prod
+from pathlib import Path
+
+import pytest
+
+from bayescal.density import linear_gaussian
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.runner.run import run_experiment
+from bayescal.inference import importance
+
+OWN_MACHINE = Path(__file__).parents[1] / "examples" / "own_machine"
+IMPORTED = """
+import sys
+from bayescal.cli import main
+sys.argv = ["bayescal", *sys.argv[1:]]
+try:
+    main()
+except SystemExit:
+    pass
+print(*{one.partition(".")[0] for one in sys.modules})
+"""
+NUMERICAL = {"scipy", "pandas", "xarray", "matplotlib", "arviz_stats", "emcee"}
+DENSITIES, FACTORISATIONS, BYTES = 77_000, 170_000, 450_000
+"""Of `examples/own_machine`: two variants of 17 and 19 parameters with the default model error."""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "without"),
+    [
+        (["--version"], NUMERICAL),
+        (["--help"], NUMERICAL),
+        (["list", "kinds"], {"matplotlib", "arviz_stats", "emcee"}),
+        (["validate", str(OWN_MACHINE / "study.toml")], {"matplotlib", "arviz_stats", "emcee", "xarray"}),
+    ],
+    ids=lambda one: one[0] if isinstance(one, list) else "",
+)
+def test_a_command_imports_what_it_uses(arguments, without, monkeypatch):
+    monkeypatch.setenv("BAYESCAL_TRUST", "1")
+    command = [sys.executable, "-c", IMPORTED, *arguments]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout  # of this file alone
+    assert not without & set(said.splitlines()[-1].split())
+
+
+@pytest.mark.runs
+def test_a_small_study_computes_no_more_than_it_did(tmp_path, monkeypatch):
+    counted = {"densities": 0, "factorisations": 0}
+    factorise = linear_gaussian.factorise
+
+    def count(n):
+        counted["densities"] += n
+
+    def factorise_counted(covariance):
+        counted["factorisations"] += prod(covariance.shape[:-2])
+        return factorise(covariance)
+
+    monkeypatch.setattr(importance, "count", count)
+    monkeypatch.setattr(linear_gaussian, "factorise", factorise_counted)
+    run_experiment(load_experiment(OWN_MACHINE / "study.toml"), OWN_MACHINE, tmp_path / "out")
+    assert counted["densities"] <= DENSITIES
+    assert counted["factorisations"] <= FACTORISATIONS
+    assert (tmp_path / "out" / "report.html").stat().st_size <= BYTES
+    print(counted, (tmp_path / "out" / "report.html").stat().st_size)
