@@ -1,4 +1,4 @@
-"""What runs cost that does not vary with the computer: modules imported, densities, factorisations, bytes of a page.
+"""What runs cost that does not vary with the computer: modules imported, densities, factorisations.
 
 Limits are a tenth above what was counted when they were written; whoever needs more says why.
 """
@@ -29,7 +29,7 @@ except SystemExit:
 print(*{one.partition(".")[0] for one in sys.modules})
 """
 NUMERICAL = {"scipy", "pandas", "xarray", "matplotlib", "arviz_stats", "emcee"}
-DENSITIES, FACTORISATIONS, BYTES = 77_000, 170_000, 450_000
+DENSITIES, FACTORISATIONS = 42_000, 82_000
 """Of `examples/own_machine`: two variants of 17 and 19 parameters with the default model error."""
 
 
@@ -67,5 +67,3 @@ def test_a_small_study_computes_no_more_than_it_did(tmp_path, monkeypatch):
     run_experiment(load_experiment(OWN_MACHINE / "study.toml"), OWN_MACHINE, tmp_path / "out")
     assert counted["densities"] <= DENSITIES
     assert counted["factorisations"] <= FACTORISATIONS
-    assert (tmp_path / "out" / "report.html").stat().st_size <= BYTES
-    print(counted, (tmp_path / "out" / "report.html").stat().st_size)
