@@ -363,6 +363,9 @@ def _seed_for(seed: int, name: str, purpose: str) -> np.random.SeedSequence:
 
 def _plan(sampler: SamplerConfig, effort: EvidenceConfig) -> dict[str, int]:
     """Return how many densities stages are expected to compute."""
+    effort = effort.follow(sampler.effort)
+    if sampler.is_preliminary:
+        return {"evidence": effort.draws}
     walks = sampler.ensembles * sampler.walkers * sum(sampler.plan(is_easy=True))
     return {"evidence": effort.draws, "tails": N_DRAWS, "sampling": walks, "bridge": effort.draws}
 

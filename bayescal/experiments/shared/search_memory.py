@@ -30,7 +30,7 @@ KEPT_READINGS, PRIOR_READINGS = 1000, 300
 
 def list_sampling(sampler: SamplerConfig, effort: EvidenceConfig, n_parameters: int) -> list[Sequence[float]]:
     """Return the arrays of a posterior's ensembles and of its draws for the evidence; see `estimate_arrays`."""
-    walkers = count_walkers(n_parameters, sampler.walkers)
+    walkers, effort = count_walkers(n_parameters, sampler.walkers), effort.follow(sampler.effort)
     return [
         (CHAINS, sampler.ensembles, walkers, sampler.most_steps, n_parameters),
         (PROPOSED, effort.draws, n_parameters),
