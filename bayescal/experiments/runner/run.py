@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 FOUND_LATE = "detected during the run"
 """Said of what is at fault with inputs that passed the gate."""
 THE_PAGE = "the page"
-SHORT = 15.0  # s of one core, up to which other processes take longer to start than they save
+SHORT = 12.0  # s of one core, up to which other processes take longer to start than they save
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
 MANY_PICTURES = 64  # fewer are drawn before other processes have started, at half of their CPU time
 

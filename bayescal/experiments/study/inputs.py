@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bayescal.experiments.study.claims import Claims
 
 TRIED = 3  # variants of which some densities are timed
-PAGE, ROW = 8.0, 2e-3  # s, of tables and a page, and for each row
+PAGE, ROW = 4.0, 2e-3  # s, of tables and a page, and for each row
 WIDTHS = 0.15  # of a fit's time, for each factor on the widths of priors
 
 
