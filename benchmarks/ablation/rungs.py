@@ -191,7 +191,6 @@ RUNGS = (
     Rung("traced ridges", "ridges", {(exploration, "trace_ridges"): _keep}),
     Rung("skew along ridges", "quantile_transform", {(ridges, "_fit_skew"): _nothing}),
     Rung("bend of errors", "peaks", {(exploration, "bend_at"): _keep_both}),
-    Rung("curves", "peaks", {(exploration, "curve_at"): _keep_both}),
     # proposal
     Rung("refined peaks", "peaks", {(exploration, "refine_peak"): _keep_second}),
     Rung("rounds of sharpening", "exploration", {(exploration, "MAX_ROUNDS"): 0}, ((exploration, "_sharpen"),)),
