@@ -148,7 +148,7 @@ def ablate(name: str, subject: Subject, rungs: list[Rung]) -> Iterator[dict[str,
         row = {"posterior": name, "rung": rung.name, "reached": watch.reached(rung)}
         row["own_cpu_s"] = round(watch.spent(rung), 2)
         if not row["reached"] or (rung.several and len(base.fit.modes) == 1):
-            yield row | {"reached": False, "cpu_ratio": 1.0, **own}
+            yield row | {"reached": False}
         elif rung.says and base.fit.n_steps in (SHORT[1], USUAL[1]):  # it asked for no more steps: the draws are those
             left = [one for one in base.fit.list_problems() if rung.says not in one]
             yield (
@@ -253,7 +253,7 @@ def tell_worst(wrong: pd.DataFrame) -> str:
     """Return the worst of wrong answers, those that nobody reports first, and whether it was reported."""
     if wrong.empty:
         return "| "
-    size = np.maximum(wrong["evidence_nat"].abs().fillna(np.inf) / WRONG_NATS, wrong["quantile_sd"] / WRONG_SD)
+    size = np.maximum(wrong["evidence_nat"].abs() / WRONG_NATS, wrong["quantile_sd"] / WRONG_SD).fillna(0.0)
     worst = wrong.loc[(size + 1e6 * ~wrong["reported"]).idxmax()]
     if worst["failed"]:
         return f"{worst['posterior']}: {worst['problems']} | yes"

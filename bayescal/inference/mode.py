@@ -1,4 +1,8 @@
-"""The maximum a posteriori point: least squares with exact Jacobians, then the model errors with it."""
+"""The maximum a posteriori point: least squares with exact Jacobians, then the model errors with it.
+
+Two posts beside a line (`tests/cases/posts_on_either_side`) need mirrored coordinates and combined jumps: without
+either a machine is lost, and nothing is reported (`benchmarks/ablation`).
+"""
 
 from __future__ import annotations
 

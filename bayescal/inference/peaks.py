@@ -3,6 +3,10 @@
 The mode of a skewed density is not where its mass is, and the curvature at a point is not that of the mass around it.
 Both are seen better over steps as large as the posterior is wide. All points of a step are independent and go through
 the density as one batch, so a refined peak costs less than a short chain.
+
+Without refined peaks the evidence of the telescope's six_pus/none is 0.50 nats low and draws stand still; without bends
+its six_pus/matrix takes 16 times as long (`benchmarks/ablation`). Without a least weight no draw is of the far mode of
+its beam/none (`tests/experiments/study/test_far_modes.py`).
 """
 
 from __future__ import annotations

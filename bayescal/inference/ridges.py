@@ -5,6 +5,9 @@ time to where the density is largest over those that follow, as in a profile lik
 the shear along it has unit volume. Modes that lie along one coordinate share one spline: it leads from ridge to ridge.
 How much mass lies where along it, each point's by Laplace's formula over what follows, says how the coordinate is bent
 to a normal one: a long tail to one side, which no Gaussian leads to, is one no more.
+
+Without traced ridges a quantile of the telescope's jacobian/none is 0.71 standard deviations off, unreported
+(`benchmarks/ablation`).
 """
 
 from __future__ import annotations
