@@ -16,6 +16,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 TINY = {
+    "ablation.py --posteriors skewed": (),
     "audit.py --points 2": (),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),

@@ -4,6 +4,9 @@ A posterior that is hardly narrower than its prior has bounds, shoulders and fla
 follows. Draws weighed by the mixture of all proposals that they came from (Cornuet, Marin, Mira and Robert 2012) show
 its shape after a few blocks, each evaluated at once; chains of few walkers take many times as long to do so. The first
 proposal and a Gaussian like the prior keep a share in each mixture, so that no region is lost.
+
+Two legs between bounds, seen in three poses with a hundred times the noise, had 15 instead of 7 % effective draws with
+it and an evidence that was not 0.15 nats low; no posterior of `benchmarks/ablation` needs it.
 """
 
 from __future__ import annotations

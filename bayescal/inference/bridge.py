@@ -3,6 +3,8 @@
 The proposal is fitted to the first half of every ensemble's walkers, the bridge is built on the other half. Where the
 posterior has several modes it is a mixture: one Gaussian for all would be as wide as the modes are apart. The relative
 mean squared error is that of Frühwirth-Schnatter (2004), with the chains' own effective sample size.
+
+Without a Gaussian for each mode it is 2 to 5 nats off for posts on either side of a line (`benchmarks/ablation`).
 """
 
 from __future__ import annotations

@@ -7,6 +7,10 @@ map y = μ + F x that they give is triangular in a basis in which C is nearly di
 and costs next to nothing. A map that is a little off costs draws of the proposal, and nothing else. Where it is far
 off, as where sizes that make up for each other are all small together, the exact one takes its place, which factorises
 the rows' covariance once more for each ζ.
+
+Machines beside the default model error need the map, an evidence of `tests/cases/own_term_shrinks_gains` 0.20 nats low
+without it, and the printer of `tests/cases/delta_default_not_converged` the exact one, 0.23 nats low
+(`benchmarks/ablation`).
 """
 
 from __future__ import annotations

@@ -6,6 +6,9 @@ hardly differ the moved draws are draws of q. T takes the mean and the covarianc
 close to a normal, to those of q: the covariance by what the information of q is more than that of p, the mean by the
 slope of log q - log p, a regression on some draws. The weights are those of other draws; their scatter is the error.
 Where p has several modes T is a translation, which takes all of them along.
+
+Without it the evidence of the telescope's six_pus/matrix is 1.97 nats low and a quantile 0.61 standard deviations off,
+unreported (`benchmarks/ablation`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Convergence of ensembles: a chain is an ensemble, never a walker."""
+"""Convergence of ensembles: a chain is an ensemble, never a walker.
+
+A walker that stands still tells a third of the wrong answers of `benchmarks/ablation`, one of them alone: without the
+conditional map a quantile of a printer is 0.26 standard deviations off.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The maximum a posteriori point: least squares with exact Jacobians, then the model errors with it."""
+"""The maximum a posteriori point: least squares with exact Jacobians, then the model errors with it.
+
+Two posts beside a line (`tests/cases/posts_on_either_side`) need mirrored coordinates and combined jumps: without
+either a machine is lost, and nothing is reported (`benchmarks/ablation`).
+"""
 
 from __future__ import annotations
 
@@ -32,7 +36,7 @@ MOST_COMBINATIONS = 63  # all of six jumps
 N_SCATTERED = 3  # draws of the prior from which the search begins again
 AWAY, FARTHEST = 50.0, 0.1  # steps along a coordinate: conditional posterior sds, and prior sds at most
 LEAST = 2e-5  # prior sds: what is known better has a prior that says nothing, through which nobody looks
-FARTHEST_IMAGE = 6.0  # prior sds: a place mirrored beyond is none that the prior allows
+FARTHEST_IMAGE = 15.0  # prior sds: as far as it may be judged to be; where it is 6 away it is judged to be 15
 MIRRORED = 1000  # number of the first jump along one coordinate, behind those that a posterior knows
 LAST_STEPS = 4  # by differences
 MOST_STEPS, HALVINGS = 30, 6  # of geometry at the errors that are most probable

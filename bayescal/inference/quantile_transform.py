@@ -3,6 +3,9 @@
 The map from a standard normal η to a coordinate u goes through quantiles with the slopes they have: monotone rational
 quadratics between evenly spaced knots (Gregory and Delbourgo 1982), straight lines beyond them. Both directions have a
 closed form.
+
+Without it 10 instead of 44 % of the draws count for the telescope's jacobian/none, whose walkers stand still
+(`benchmarks/ablation`).
 """
 
 from __future__ import annotations

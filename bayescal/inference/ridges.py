@@ -5,6 +5,9 @@ time to where the density is largest over those that follow, as in a profile lik
 the shear along it has unit volume. Modes that lie along one coordinate share one spline: it leads from ridge to ridge.
 How much mass lies where along it, each point's by Laplace's formula over what follows, says how the coordinate is bent
 to a normal one: a long tail to one side, which no Gaussian leads to, is one no more.
+
+Without traced ridges a quantile of the telescope's jacobian/none is 0.71 standard deviations off, unreported
+(`benchmarks/ablation`).
 """
 
 from __future__ import annotations
@@ -47,16 +50,15 @@ class _Points:
 def trace_ridges(straight: Reparameterisation, modes: Sequence[Mode]) -> Reparameterisation:
     """Return the straightening with every curved ridge traced from the modes, best first, and bent by its mass.
 
-    A coordinate along which modes lie beside each other, not one after the other, keeps the curve that it has.
+    A coordinate along which modes lie beside each other, not one after the other, stays as it is.
     """
     ridges = dict(straight.posterior.curved_ridges())
     found = _trace_all(straight.posterior, modes, ridges)
     if not found:
         return straight
-    curves = tuple(curve for curve in straight.curves if curve.base not in found)
     sheared = _fit(modes[0], [(base, ridges[base], _join(points)) for base, points in found.items()])
     skew = _fit_skew(modes[0], straight.posterior.n_geometry, {base: points[0] for base, points in found.items()})
-    return replace(straight, curves=curves, ridges=sheared, skew=skew)
+    return replace(straight, ridges=sheared, skew=skew)
 
 
 def _trace_all(

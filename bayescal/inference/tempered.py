@@ -9,6 +9,8 @@ differences of two draws.
 The last draws are those of the posterior; the evidence is that of a bridge (Meng and Wong 1996) from them to a mixture
 fitted to another run's, finer by an order than the product of the mean weights. Standard errors come from independent
 runs.
+
+Of wrong answers in `benchmarks/ablation` that can be drawn from their priors it alone tells one.
 """
 
 from __future__ import annotations

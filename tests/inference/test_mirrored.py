@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import studies
 from scipy.optimize import least_squares
 from test_loose import Arc
 
@@ -43,3 +44,12 @@ def test_both_sides_of_both_posts_are_found(seed):
     beside = np.array([EXPECTED + TOLERANCE * mode.y for mode in found])
     assert sorted(map(tuple, np.sign(beside))) == [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]
     np.testing.assert_allclose(np.abs(beside), np.tile(np.abs(TRUE), (4, 1)), atol=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_side_whose_distance_is_judged_too_large_is_found(seed, pytestconfig):
+    """At 2.4 prior sds; it was judged to be at 6.5, and found only where a draw of the prior led there."""
+    path = pytestconfig.rootpath / "tests/cases/external_as_integer/study.toml"
+    posterior = studies.load_study(path).variants["all"].posterior().with_pose_guesses()
+    found = find_modes(posterior, np.random.default_rng(seed))
+    assert sorted(np.sign(posterior.natural(mode.y)[1]) for mode in found) == [-1.0, 1.0]

@@ -1,4 +1,4 @@
-"""Straight coordinates: a bijection, its volume against determinants, and the funnel and the ridge it takes away."""
+"""Straight coordinates: a bijection, its volume against determinants, and the funnel that it takes away."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy import stats
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.mode import find_modes
 from bayescal.inference.peaks import GaussianMode, proposal_from_peaks
-from bayescal.inference.reparameterisation import Bend, fit_bend, fit_curve, straighten
+from bayescal.inference.reparameterisation import Bend, fit_bend, straighten
 
 
 def sample(posterior, straight, mode, seed=1, n_steps=150):
@@ -50,13 +50,9 @@ def variant(request, fitted):
 
 
 def test_the_parts_are_there(fitted):
-    assert len(fitted["none"][2].curves) == 6
-    assert len(fitted["matrix"][2].curves) == 0
     assert all(f[2].bend is not None and f[2].follows_errors for f in fitted.values())
-    assert max(np.abs(curve.beta).max() for curve in fitted["none"][2].curves) > 1e-3
     assert all(np.abs(f[2].bend.b).max() > 1e-2 for f in fitted.values())
     assert fitted["none"][1].bend is None
-    assert all(not f[1].curves for f in fitted.values())
     assert [f[1].conditional is not None for f in fitted.values()] == [False, True, True]
 
 
@@ -113,27 +109,6 @@ def test_funnel_is_gone(fitted):
     assert after.mean() < before.mean() / 3
 
 
-def test_ridge_is_straight(fitted):
-    """Along the free u_x the leg's coordinates keep no quadratic trend; before, they had one."""
-    posterior, _, straight, draws = fitted["none"]
-    del posterior
-    sheared = draws.copy()
-    straight._uncurve(sheared)
-    before, after = (max(ridge_bend(values, curve) for curve in straight.curves) for values in (draws, sheared))
-    assert before > 0.15
-    assert after < 1e-6
-
-
-def ridge_bend(values, curve):
-    """Return the quadratic trend at one sd of u_x, in standard deviations of the leg's coordinates beside it."""
-    u = values[:, curve.base] - values[:, curve.base].mean()
-    design = np.stack([np.ones_like(u), u, u * u], axis=1)
-    coefficients = np.linalg.lstsq(design, values[:, curve.others], rcond=None)[0]
-    residual = values[:, curve.others] - design @ coefficients
-    beta = coefficients[2] * np.var(u)
-    return np.sqrt(beta @ np.linalg.solve(np.cov(residual.T), beta))
-
-
 def test_bend_maps_three_quantiles_to_those_of_a_normal(rng):
     zeta = np.log(rng.gamma([1.0, 3.0], size=(20_000, 2)))
     bend = fit_bend(zeta)
@@ -160,16 +135,3 @@ def test_bend_of_extreme_quantiles_stays_invertible(rng):
     assert np.abs(bend.b / bend.a)[0] == pytest.approx(0.95)
     eta = np.linspace(-4, 4, 50)[:, None]
     np.testing.assert_allclose(bend.inverse(bend.forward(eta)), eta, atol=1e-9)
-
-
-def test_curve_finds_a_planted_parabola(rng):
-    u = rng.normal(2.0, 1.5, 4000)
-    y = np.stack([3.0 * u + 0.4 * (u - 2.0) ** 2, u, -0.2 * u**2 + 0.1 * rng.standard_normal(4000)], axis=1)
-    curve = fit_curve(y, 1, np.array([0, 2]))
-    np.testing.assert_allclose(curve.beta, [0.4, -0.2], atol=5e-3)
-    w = y.copy()
-    curve.add_to(w, -1.0)
-    np.testing.assert_array_equal(w[:, 1], u)
-    np.testing.assert_allclose(fit_curve(w, 1, np.array([0, 2])).beta, 0.0, atol=1e-10)
-    curve.add_to(w, 1.0)
-    np.testing.assert_allclose(w, y, atol=1e-12)
