@@ -83,6 +83,7 @@ ALONE = {
     "base legs": lambda: build_legs("base"),
     "deformed legs": lambda: build_legs("deformed"),
     "lines": lambda: point_on_lines(4, bearing=True),
+    "mount": lambda: read("experiments/mmt_mount/machine.toml"),
     "three slides": lambda: star_of(3),
     "slides against their guides": lambda: build(make_content(5, "against", 10.0)),
 }

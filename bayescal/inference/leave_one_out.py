@@ -5,7 +5,7 @@ p(y_i | θ). A pose whose weights 1 / p(y_i | θ) have too heavy a tail (Pareto 
 where the posterior of the others is (`bayescal.inference.correction`): the ratio of both evidences is the pose's
 density given the others. Where moved draws are not enough either, a short run on the others' posterior is.
 
-Rows that a machine cannot do without need the refits; sums over rows are moved by 1.3 nats at most, for 7 % of the time
+Rows that a machine cannot do without need the refits; sums over rows are moved by 1.6 nats at most, for 7 % of the time
 of a fit (`benchmarks/ablation`).
 """
 

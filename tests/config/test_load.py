@@ -17,7 +17,7 @@ from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.machines.mechanism import ExternalLoad
 from bayescal.machines.read import load_mechanism, read_reading_model
 
-LOADERS = dict.fromkeys(("legs", "sliding_platform", "line_machine", "strut_machine"), read_reading_model)
+LOADERS = dict.fromkeys(("legs", *list_references("MACHINES")), read_reading_model)
 SHIPPED = sorted(studies.EXPERIMENTS.rglob("*.toml"))
 
 
