@@ -287,7 +287,8 @@ def keep_committed(results: Path, config: Path) -> None:
 
 def list_errors(err: str) -> list[str]:
     """Return the lines on standard error that are neither progress nor what `validate` says of the data, too."""
-    return [one for one in err.splitlines() if not (PROGRESS.fullmatch(one) or one.startswith("warning: "))]
+    said = ("warning: ", "first answer, ")
+    return [one for one in err.splitlines() if not (PROGRESS.fullmatch(one) or one.startswith(said))]
 
 
 def snapshot(folder: Path) -> dict[str, bytes | None]:

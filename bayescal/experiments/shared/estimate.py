@@ -430,7 +430,9 @@ def _estimate(
 def _say_first(
     subject: PosteriorProblem, found: Exploration, importance: ImportanceEvidence, seed: np.random.SeedSequence
 ) -> str:
-    """Return a first answer in words: evidence, what some draws say, how many of the proposal's count."""
+    """Return a first answer in words: evidence, what some draws say, how many of the proposal's count; or nothing."""
+    if importance.is_doubtful:
+        return ""
     straight = found.straight
     drawn = resample(straight.log_density, found.proposal, np.random.default_rng(seed), 4 * FIRST, FIRST)
     more = subject.say_first(cast("LogPosterior", straight.posterior), straight.y_from_x(drawn.draws))

@@ -8,7 +8,7 @@ import audit_problems as problems
 import pytest
 import studies
 
-from bayescal.experiments.audit import kind as audit_kind
+from bayescal.experiments.audit import compute as audit_compute
 
 SMALL = """
 extends = "base.toml"
@@ -126,7 +126,7 @@ def test_a_design_at_fault_is_one_line_and_nothing_is_written(refuse, tmp_path, 
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):
     design.write_text(SMALL.replace("n_simulated_calibrations = 4", "n_simulated_calibrations = 0"))
     studies.edit(design, "n_prior_draws = 3", "n_prior_draws = 0")
-    compute_audit = audit_kind.compute_audit
+    compute_audit = audit_compute.compute_audit
 
     def compute(inputs, run):
         results = compute_audit(inputs, run)
@@ -136,7 +136,7 @@ def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path
         }
         return results
 
-    monkeypatch.setattr(audit_kind, "compute_audit", compute)
+    monkeypatch.setattr(audit_compute, "compute_audit", compute)
     code, said, complaint = call("audit", design, "--out", tmp_path / "out", "--workers", 1)
     assert (code, len(studies.list_errors(complaint))) == (3, 1)
     assert "not converged" in complaint
