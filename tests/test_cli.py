@@ -374,6 +374,7 @@ def test_every_shipped_experiment_is_run_here():
         "sika2008/calibrations.toml",  # in test_self_calibrations
         *(f"sliding_star/{name}.toml" for name in SLIDING_STAR),  # in calibration/test_sliding_star.py
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
+        *(f"mmt_mount/{name}.toml" for name in ("machine", "study")),  # in machines/readings/test_mount.py
         *(
             f"m2_hexapod_table/{name}.toml" for name in ("machine", "simulate", "study", "table")
         ),  # in test_lookup_table

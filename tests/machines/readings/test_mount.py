@@ -67,3 +67,23 @@ def test_a_measured_telescope_has_the_terms_of_least_squares():
     assert len(table) == 80
     for k, name in enumerate(TERMS):
         assert found[name] == pytest.approx(terms[k], abs=0.2 * sd[k])
+
+
+@pytest.mark.runs
+def test_a_measured_telescope_is_calibrated_as_shipped(call, tmp_path):
+    """Rankings, residuals and coverage of the shipped study; terms that look alike over few elevations are named."""
+    code, said, _ = call("run", MMT / "study.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert code == 0
+    assert said.startswith("Use ")
+    variants = pd.read_csv(tmp_path / "out" / "tables" / "variants.csv").set_index("variant")
+    assert variants["converged"].all()
+    assert variants.loc["no_tx", "log_evidence"] < variants["log_evidence"].max() - 20.0
+    predicted = pd.read_csv(tmp_path / "out" / "tables" / "predictions.csv")
+    inside = predicted["measured"].between(predicted["low"], predicted["high"])
+    for _, own in inside.groupby([predicted["variant"], predicted["channel"]]):
+        assert 0.8 < own.mean() < 0.97
+    factors = pd.read_csv(tmp_path / "out" / "tables" / "parameters.csv").set_index(["variant", "parameter"])["mean"]
+    assert 2.0 * factors["eight", "noise_factor(azimuth_axis)"] == pytest.approx(
+        1.3, abs=0.2
+    )  # arcsec, as least squares
+    assert factors["eight", "noise_factor(elevation_axis)"] == pytest.approx(0.78, abs=0.1)
