@@ -93,16 +93,16 @@ def predict_readings(
                 mean[at], spread[at] = predicted_there
     for key, channels in groups.items():
         others = np.frombuffer(key, dtype=bool)
-        there, told = held.data.present[:, others].sum(axis=1), _is_predicted(held, channels, others)
+        there, determined = held.data.present[:, others].sum(axis=1), _is_predicted(held, channels, others)
         for channel in channels:
             here = held.data.present[:, channel]
             known = np.isfinite(mean[..., channel] + spread[..., channel]).all(axis=0)
             lost += [
                 (int(k), channel, f"{there[k]} other readings for {q} coordinates")
-                for k in np.flatnonzero(here & ~told)
+                for k in np.flatnonzero(here & ~determined)
             ]
-            lost += [(int(k), channel, NOT_DETERMINED) for k in np.flatnonzero(here & told & ~known)]
-            found = np.flatnonzero(here & told & known)
+            lost += [(int(k), channel, NOT_DETERMINED) for k in np.flatnonzero(here & determined & ~known)]
+            found = np.flatnonzero(here & determined & known)
             if len(found):
                 parts.append((found, channel, mean[:, found, channel], spread[:, found, channel]))
     return replace(_collect(held, parts), lost=tuple(lost))
@@ -110,8 +110,8 @@ def predict_readings(
 
 def _is_predicted(held: CalibrationLikelihood, channels: Sequence[int], others: np.ndarray) -> np.ndarray:
     """Return at which poses (P,) some of the channels were read, and enough others to tell the pose."""
-    told = held.data.present[:, others].sum(axis=1) >= len(held.model.coordinates)
-    return np.asarray(held.data.present[:, channels].any(axis=1) & told)
+    determined = held.data.present[:, others].sum(axis=1) >= len(held.model.coordinates)
+    return np.asarray(held.data.present[:, channels].any(axis=1) & determined)
 
 
 @dataclass(frozen=True, eq=False)

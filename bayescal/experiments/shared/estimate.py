@@ -378,7 +378,7 @@ def _estimate(
     effort: EvidenceConfig,
     subject: PosteriorProblem | None = None,
 ) -> tuple[Estimate, Exploration]:
-    explore_seed, importance_seed, *_, correct_seed, _, _ = _spawn(seed, name)
+    explore_seed, importance_seed, ensemble_seed, *_, correct_seed, _, _ = _spawn(seed, name)
     effort = effort.follow(sampler.effort)
     expect(_plan(sampler, effort))
     fine_enough = FINE_ENOUGH if subject is None else CORRECTABLE
@@ -387,8 +387,11 @@ def _estimate(
     )
     if subject is not None:
         answer_first(partial(_say_first, subject, found, importance, _seed_for(seed, name, "first")))
-    draw = _draw_by_weights if sampler.is_preliminary else _draw_by_chains
-    found, importance, drawn = draw(found, importance, seed, name, sampler, effort)
+    if sampler.is_preliminary:
+        n_proposed, n_drawn = effort.draws // 2, effort.draws // 8
+        drawn = _Drawn(draw_by_importance(found, ensemble_seed, sampler.ensembles, n_proposed, n_drawn))
+    else:
+        found, importance, drawn = _draw_by_chains(found, importance, seed, name, sampler, effort)
     sample = drawn.sample
     costly, correction = None if subject is None else subject.find_costly(found), None
     if costly is not None:
@@ -450,20 +453,6 @@ class _Drawn:
     overdispersed: OverdispersedCheck | None = None
     tails: TailShare | None = None
     check: EvidenceCheck | None = None
-
-
-def _draw_by_weights(
-    found: Exploration,
-    importance: ImportanceEvidence,
-    seed: int,
-    name: str,
-    sampler: SamplerConfig,
-    effort: EvidenceConfig,
-) -> tuple[Exploration, ImportanceEvidence, _Drawn]:
-    """Return a preliminary answer's draws."""
-    ensemble_seed = _spawn(seed, name)[2]
-    sample = draw_by_importance(found, ensemble_seed, sampler.ensembles, effort.draws // 2, effort.draws // 8)
-    return found, importance, _Drawn(sample)
 
 
 def _draw_by_chains(
