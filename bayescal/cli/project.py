@@ -95,16 +95,42 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New folder.")],
     machine: Annotated[str | None, typer.Option(help="hexapod (struts), carriages (fixed legs) or own.")] = None,
     instrument: Annotated[str | None, typer.Option(help="targets, poses or points; not for own.")] = None,
+    source: Annotated[Path | None, typer.Option("--from", metavar="FILE", help="Another program's file.")] = None,
+    option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE", help="With --from: what to take.")] = None,
 ) -> None:
-    """Begin a project: a commented machine with simulated data that runs as it is; asks what is not said."""
-    from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
+    """Begin a project: a commented machine with simulated data that runs as it is; asks what is not said.
 
+    With --from the machine, and the measurements that stand beside it, of another program's file.
+    """
+    from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_from, start_project
+
+    if source is not None:
+        for name, value in (("--machine", machine), ("--instrument", instrument)):
+            if value is not None:
+                raise InputError(f"init: {name}: found {value!r}, expected none with --from")
+        files, project = start_from(folder, source, _read_options(option or []))
+        for path in files:
+            echo(f"wrote {path}")
+        for line in project.found:
+            echo(line)
+        echo(f"next: cd {folder}, {project.advice}")
+        return
+    if option:
+        raise InputError("init: --option: expected --from with it")
     machine = machine or _ask("--machine", list(MACHINES))
     if instrument is None and machine != OWN:
         instrument = _ask("--instrument", list(INSTRUMENTS))
     for path in start_project(folder, machine, instrument):
         echo(f"wrote {path}")
     echo(f"simulated data; next: cd {folder}, bayescal run study.toml")
+
+
+def _read_options(pairs: list[str]) -> dict[str, str]:
+    """Return options by name; InputError for one that is no pair."""
+    for pair in pairs:
+        if "=" not in pair:
+            raise InputError(f"init: --option: found {pair!r}, expected KEY=VALUE")
+    return {name.strip(): value.strip() for name, _, value in (pair.partition("=") for pair in pairs)}
 
 
 def _ask(option: str, choices: list[str]) -> str:

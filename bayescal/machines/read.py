@@ -228,16 +228,19 @@ def read_reading_model(path: Path) -> ReadingModel:
         names = ", ".join(sorted([LEGS, *list_references("MACHINES")]))
         raise InputError(f"{path}: kind: found {kind!r}, expected one of {names}, or file.py:Class")
     found = _find(kind, path)
-    whole = issubclass(found.Config, MachineFileConfig)
-    if whole:
-        config: Any = check_section(found.Config, content, path, text)
-    else:
-        schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
-        config = check_section(schema, {"machine": {}, **content}, path, text)
+    config = _check_file(found, content, path, text)
     with name_faults(path):
         with name_failures(found, "kind"):
-            machine = found(config if whole else config.machine)
+            machine = found(getattr(config, "machine", config))
         return FunctionModel(config.name, machine)
+
+
+def _check_file(found: type[ReadingMachine], content: dict[str, Any], path: Path, text: str) -> Any:
+    """Return the checked content of the file of a machine of one function."""
+    if issubclass(found.Config, MachineFileConfig):
+        return check_section(found.Config, content, path, text)
+    schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
+    return check_section(schema, {"machine": {}, **content}, path, text)
 
 
 def _find(kind: str, path: Path) -> type[ReadingMachine]:
@@ -259,7 +262,10 @@ def list_machine_sources(path: Path) -> list[str]:
     kind = content.get("kind")
     if kind == LEGS:
         return find_files(check_section(LegsMachineConfig, content, path, text), path.parent)
-    return list_sources("MACHINES", kind, path.parent) if isinstance(kind, str) else []
+    if not isinstance(kind, str):
+        return []
+    own = list_sources("MACHINES", kind, path.parent)
+    return own if own else find_files(_check_file(_find(kind, path), content, path, text), path.parent)
 
 
 def read_legs(path: Path) -> Legs:

@@ -19,6 +19,7 @@ from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.run import compute_experiment
 from bayescal.files.atomic import make_directory, write_atomically
 from bayescal.files.csv_tables import format_table
+from bayescal.importers import Project, import_file
 
 TEMPLATES = Path(__file__).parent / "templates"
 N_CALIBRATION, N_VERIFICATION = 30, 10
@@ -90,8 +91,7 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
         raise InputError(f"init: --instrument: found {instrument!r}, expected none with machine {machine!r}")
     if kind is not None:
         look_up(INSTRUMENTS, instrument or "none", "--instrument")
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: expected a new or empty folder")
+    _check_empty(folder)
     partial = folder.absolute().with_name(f"{folder.absolute().name}.partial")
     make_directory(partial)
     try:
@@ -108,6 +108,25 @@ def start_project(folder: Path, machine: str, instrument: str | None) -> list[Pa
     with suppress(OSError):  # where nothing can be kept, its code is asked for as any other
         remember(list_code(folder))
     return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def start_from(folder: Path, path: Path, options: Mapping[str, str]) -> tuple[list[Path], Project]:
+    """Write a project made of another program's file into a new or an empty folder; return its files and what is said.
+
+    InputError for a file of no known format or without what a project needs, and for a folder that holds something;
+    nothing is written then.
+    """
+    _check_empty(folder)
+    project = import_file(path, options)
+    for name, content in project.files.items():
+        make_directory((folder / name).parent)
+        write_atomically(folder / name, content)
+    return [folder / name for name in sorted(project.files)], project
+
+
+def _check_empty(folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: expected a new or empty folder")
 
 
 def _write_files(folder: Path, kind: ExampleHexapod | None, machine: str, instrument: str | None) -> None:
