@@ -14,6 +14,8 @@ Coefficients u of the errors given the rows are drawn by Matheron's rule: with u
     u = u' + Aᵀ S⁻¹ (e - e'),    S = Zᵀ R Z + A Aᵀ.
 
 Of many rows functions are of few columns (`bayescal.density.low_rank_covariance`), whose coefficients are drawn.
+
+Without functions the covariance is one of single poses, which is how noise is seen that is known but for a factor.
 """
 
 from __future__ import annotations
@@ -84,17 +86,29 @@ class FixedCovarianceRows:
         return np.ascontiguousarray((self.left[..., :, None] * self.left[..., None, :]).reshape(n_poses, n, m * m))
 
     @property
+    def is_single(self) -> bool:
+        """Whether rows of a pose depend on none of another: there are no functions."""
+        return not self.shown and self.few is None
+
+    @property
     def is_whole(self) -> bool:
         """Whether all rows show something."""
         return len(self.kept) == self.left.shape[0] * self.left.shape[2]
 
     @classmethod
     def build(
-        cls, likelihood: CalibrationLikelihood, errors: ErrorModel, theta: Array, *, whole: bool = False
+        cls,
+        likelihood: CalibrationLikelihood,
+        errors: ErrorModel,
+        theta: Array,
+        *,
+        whole: bool = False,
+        single: bool = False,
     ) -> FixedCovarianceRows | None:
         """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
 
-        Rows of channels that were not read are left out unless the ``whole`` is asked for.
+        Rows of channels that were not read are left out unless the ``whole`` is asked for. ``single``: without
+        functions, rows of single poses.
 
         It cannot where single rows may be outliers, where columns have more than an amplitude, and with too many rows
         unless all functions are of few columns.
@@ -104,12 +118,14 @@ class FixedCovarianceRows:
         thin = errors.terms_of(LowRankGPTerm)
         is_few = bool(thin) and len(thin) == len(errors.common)
         m = n - len(likelihood.model.coordinates)
-        if not errors.has_columns or errors.is_common_known or errors.outliers.expected or m < 1:
+        if errors.has_columns == single or errors.is_common_known or errors.outliers.expected or m < 1:
             return None
-        if not is_few and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
+        if single and not data.present.all():
             return None
-        acts = [] if is_few else errors.list_acts(data, likelihood.error_gain)
-        if not acts and not is_few:
+        if not is_few and not single and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
+            return None
+        acts = [] if is_few or single else errors.list_acts(data, likelihood.error_gain)
+        if not acts and not is_few and not single:
             return None
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
         slope = likelihood.stand(theta[None], white).slope[0]
@@ -118,9 +134,9 @@ class FixedCovarianceRows:
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
         left = np.ascontiguousarray(axes[..., slope.shape[-1] :])
-        if is_few:
+        if is_few or single:
             found = cls(theta, white, left, np.arange(n_poses * m), ())
-            return replace(found, few=found._find_few(likelihood, errors, thin))
+            return found if single else replace(found, few=found._find_few(likelihood, errors, thin))
         kept = np.arange(n_poses * m)
         if not (whole or data.present.all()):
             left, shows = _turn_to_present(left, data.present)
@@ -133,6 +149,8 @@ class FixedCovarianceRows:
 
     def density(self, likelihood: CalibrationLikelihood, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,), for machines (B, D) and coordinates of errors (B, k)."""
+        if self.is_single:
+            return np.asarray(self.density_by_row(likelihood, theta, errors, zeta).sum(axis=1))
         rows, rest = self._find_rows(likelihood, theta)
         total = rest.sum(axis=1)
         if self.few is not None:
@@ -150,6 +168,10 @@ class FixedCovarianceRows:
     def density_by_row(self, likelihood: CalibrationLikelihood, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
         rows, found = self._find_rows(likelihood, theta)
+        if self.is_single:
+            blocks = self._blocks(likelihood, errors, zeta)
+            found += weigh(blocks, rows.reshape(blocks.shape[:-1]))
+            return np.where(np.isfinite(found), found, -np.inf)
         if self.few is not None:
             for k, row in enumerate(rows):
                 found[k] += self._factorise(self.few, likelihood, errors, zeta[k]).weigh_left_out(row)
@@ -324,6 +346,8 @@ class FixedCovarianceRows:
         whole = few.square(both) if few is not None and _list_alone(errors) is not None else None
 
         def square(zeta: Array) -> tuple[Array, Array]:
+            if self.is_single:
+                return self._square_single(likelihood, errors, zeta, both)
             if whole is not None:
                 found = [whole(one) for one in _list_variances(errors, zeta)]
             elif few is not None:
@@ -337,6 +361,20 @@ class FixedCovarianceRows:
             return np.stack([one for one, _ in found]), np.array([half_log_det for _, half_log_det in found])
 
         return LinearRows(*none, square)
+
+    def _square_single(
+        self, likelihood: CalibrationLikelihood, errors: ErrorModel, zeta: Array, both: Array
+    ) -> tuple[Array, Array]:
+        """Return XᵀS⁻¹X of rows X (M, n) at ζ (B, k), (B, n, n), and ½ log |S|, where poses are by themselves."""
+        squares, volumes = list[Array](), list[Array]()
+        for part in likelihood.batches(len(zeta)):
+            blocks = self._blocks(likelihood, errors, zeta[part])
+            by_pose = both.reshape(*blocks.shape[1:3], -1)
+            white, volume = whiten(blocks, np.broadcast_to(by_pose, (len(blocks), *by_pose.shape)))
+            rows = white.reshape(len(white), -1, both.shape[-1])
+            squares.append(np.swapaxes(rows, 1, 2) @ rows)
+            volumes.append(volume.sum(axis=1))
+        return np.concatenate(squares), np.concatenate(volumes)
 
     def _show_directions(
         self, likelihood: CalibrationLikelihood, errors: ErrorModel, cause: str, pose: Array

@@ -111,8 +111,8 @@ class IndependentRowsLikelihood:
     ) -> IndependentRowsLikelihood | None:
         """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
 
-        It cannot where readings are missing, noise has an unknown factor, the machine binds no readings, or model
-        errors are not those of as many channels as there are rows.
+        It cannot where readings are missing, the machine binds no readings, or model errors are not those of as many
+        channels as there are rows. Where noise has an unknown factor it finds the rows by the stated one.
         """
         data, near = likelihood.data, likelihood.expansion
         n, q = data.sd.shape[1], len(likelihood.model.coordinates)
@@ -120,8 +120,8 @@ class IndependentRowsLikelihood:
             return None
         if errors.has_columns and not errors.is_common_known:
             return None
-        if any(one.factor(np.zeros((1, len(one.names)))) is not None for one in errors.noisy):
-            return None
+        if errors.has_factors:
+            errors = errors.without(errors.noisy)
         bound = likelihood.model.bind(theta, data.values, likelihood.start, data.given)
         if bound is None:
             return None

@@ -110,7 +110,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def _is_by_row(self, errors: ErrorModel) -> bool:
         """Whether each row counts by itself in the fast form."""
-        return self.lone is not None and (not errors.has_columns or errors.is_common_known)
+        single = not errors.has_columns or errors.is_common_known
+        return self.lone is not None and self.frozen is None and single
 
     def density_by_row(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
@@ -142,7 +143,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def density_of_row(self, theta: Array, errors: ErrorModel, zeta: Array, row: int) -> Array:
         """Return the log-likelihood of one pose's readings given all others, shape (B,)."""
-        if self.frozen is not None:
+        if self.frozen is not None and errors.has_columns:
             parts = self.batches(len(theta), MANY_ROWS)
             return np.concatenate(
                 [self.frozen.density_of_row(self, theta[part], errors, zeta[part], row) for part in parts]
@@ -429,19 +430,24 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         lone = IndependentRowsLikelihood.build(
             found, errors if errors.is_common_known else errors.without(errors.common), theta
         )
+        if frozen is None and lone is not None and errors.has_factors:
+            frozen = FixedCovarianceRows.build(found, errors, theta, single=True)
+            lone = None if frozen is None else lone
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
         if lone is not None and off > GOOD:  # slopes whose scale changes with the machine, or poses that go far
             other = replace(fast, lone=lone.followed)
             fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
-        return fast if off < ROUGH else replace(fast, lone=None)
+        if off < ROUGH:
+            return fast
+        return replace(fast, lone=None, frozen=None if frozen is not None and frozen.is_single else frozen)
 
     def _find_roughness(self, theta: Array, errors: ErrorModel) -> float:
         """Return by how much the fast form for single rows is off from what leaves nothing out, at machines (N, D).
 
         As a share of what these differ by: along ridges that bend they lie far off, and all is off by as much more.
         """
-        if self.lone is None or not self._is_by_row(errors):
+        if self.lone is None or not (self._is_by_row(errors) or (self.frozen is not None and self.frozen.is_single)):
             return 0.0
         at = theta, errors, np.zeros((len(theta), errors.n_parameters))
         with np.errstate(all="ignore"):

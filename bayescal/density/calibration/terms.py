@@ -488,6 +488,11 @@ class ErrorModel:
         factor, variance = ErrorTerm.factor, ErrorTerm.variance
         return [one for one in self.terms if type(one).factor is not factor or type(one).variance is not variance]
 
+    @property
+    def has_factors(self) -> bool:
+        """Whether a stated noise is known but for a factor."""
+        return any(one.factor(np.zeros((1, len(one.names)))) is not None for one in self.noisy)
+
     def groups(self, n_channels: int) -> Array:
         """Return which of K channels have the same unknowns of their noise, or none, ones and zeros (N, K)."""
         every = np.ones(n_channels, dtype=bool)

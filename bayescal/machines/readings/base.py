@@ -186,6 +186,36 @@ class BoundReadings(ABC):
 
 
 @dataclass(frozen=True, eq=False)
+class BoundModel(BoundReadings):
+    """Readings of a model at poses that stay, as its `ReadingModel.read` has them, there and where these are moved."""
+
+    places: np.ndarray
+    model: ReadingModel
+    pose: Array  # (P, q)
+    given: Given
+    last: list[tuple[Array, Array]] = field(default_factory=list)  # machines (B, D) and what they read, (B, P, C)
+
+    def read(self, theta: Array) -> Array:
+        """Return what the channels read, (C, P, B); see `BoundReadings.read`."""
+        read = self._read(theta, self.pose)
+        self.last[:] = [(theta, read)]
+        return read.transpose(2, 1, 0)
+
+    def differentiate(self, theta: Array) -> tuple[Array, Array]:
+        """Return the model's derivatives; see `BoundReadings.differentiate`."""
+        here = self.model.linearise(theta, self.pose, True, self.given)
+        return here.by_pose, here.by_parameters
+
+    def follow(self, step: Array) -> Array:
+        """Return what the machines that were read last read more at poses moved by steps (q, P, B), (C, P, B)."""
+        ((theta, read),) = self.last
+        return (self._read(theta, self.pose + step.transpose(2, 1, 0)) - read).transpose(2, 1, 0)
+
+    def _read(self, theta: Array, pose: Array) -> Array:
+        return self.model.read(theta[:, None], pose, {name: value[None] for name, value in self.given.items()})
+
+
+@dataclass(frozen=True, eq=False)
 class ReadingModel(ABC):
     """A machine seen by its sensors: K readings of a pose with q coordinates, D parameters."""
 
@@ -295,12 +325,12 @@ class ReadingModel(ABC):
         return self
 
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
-        """Return readings near measured ones (P, K) bound to poses (P, q); None, as by default, where `read` is all.
+        """Return readings near measured ones (P, K) bound to poses (P, q), by default those of `read`; None for none.
 
         ``theta`` (D,) is a machine much like those that will be asked for.
         """
-        del theta, values, pose, given
-        return None
+        del theta
+        return BoundModel(np.arange(len(self.channels)), self.near(values), pose, given)
 
     def straighten(self, known: Coordinates, hidden: bool) -> Coordinates | None:
         """Return coordinates of the free parameters in which ridges of posteriors are straight, from those as they are.

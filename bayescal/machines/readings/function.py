@@ -78,6 +78,11 @@ def check_tool(model: FunctionModel) -> None:
     theta, pose, _ = draw_points(model, POINTS)
     expected = f"numbers {_describe_shapes(model, theta, pose, NO_CONDITIONS)}"
     found, _, _ = _call(where, expected, lambda: model.tool(theta, pose))
+    if machine.tool_slopes(Parameters(model.layout, theta), pose) is not None:
+        for what, closed, exact in zip(("v", "parameters"), model.tool(theta, pose)[1:], model._step_tool(theta, pose)[1:], strict=True):
+            size = np.max(np.abs(exact), axis=-1, keepdims=True, initial=0.0, where=np.isfinite(exact))
+            if not np.allclose(closed, exact, rtol=0.0, atol=CLOSED * max(1.0, float(size.max()))):
+                raise InputError(f"{where}_slopes: found other derivatives by {what} than tool's")
     names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
     if found.shape[-1] != len(names):
         raise InputError(f"{where}: found {found.shape[-1]} numbers, expected {len(names)}: {', '.join(names)}")
@@ -297,6 +302,15 @@ class ReadingMachine(ABC):
         """
         del parameters
         return v
+
+    def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]] | None:
+        """Return derivatives of `tool` in closed form: ∂/∂v (..., m, q), and by symbol (..., m, n) or (..., m).
+
+        None by default, where complex steps do; parameters that do not move the tool are left out. Checked against
+        complex steps when the machine is read.
+        """
+        del parameters, v
+        return None
 
     def rotation(self, v: np.ndarray) -> np.ndarray | None:
         """Return how the tool is turned, (..., m, m) from its frame to the base's; None, as by default: it is not.
@@ -531,6 +545,19 @@ class FunctionModel(ReadingModel):
 
     def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
+        closed = self.machine.tool_slopes(Parameters(self.layout, theta), pose)
+        if closed is None:
+            return self._step_tool(theta, pose)
+        values = self.tool_values(theta, pose)
+        by_pose, by = np.broadcast_to(closed[0], (*values.shape, len(self.coordinates))), closed[1]
+        by_parameters = np.zeros((*values.shape, self.layout.size))
+        for symbol, slopes in by.items():
+            places = self.layout.index[symbol]
+            by_parameters[..., places] = slopes.reshape(*slopes.shape[: values.ndim], len(places))
+        return values, by_pose, by_parameters
+
+    def _step_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+        """Return the same by complex steps."""
         n, every = self.layout.size, np.eye(self.layout.size + len(self.coordinates))
         found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])

@@ -28,6 +28,7 @@ from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
     NO_CONDITIONS,
     POSE,
+    BoundModel,
     BoundReadings,
     Channel,
     Coordinate,
@@ -364,14 +365,16 @@ class InstrumentedMachine(ReadingModel):
         return replace(self, whole=self.whole.near(values[:, : len(self.whole.channels)]))
 
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
-        """Return the machine's readings bound to poses, with those of instruments there; see `ReadingModel.bind`.
+        """Return the readings bound to poses; see `ReadingModel.bind`.
 
-        None where parameters of the machine move its tool.
+        Where parameters of the machine do not move its tool, instruments see it where it is.
         """
         own, n = self._split(theta)[0], len(self.whole.channels)
         bound = self.whole.bind(own, values[:, :n], pose, given)
         tool = self.whole.tool(own, pose)
-        if bound is None or tool[2].any():
+        if isinstance(bound, BoundModel) or (bound is not None and tool[2].any()):
+            return super().bind(theta, values, pose, given)
+        if bound is None:
             return None
         places = np.concatenate([bound.places, np.arange(n, len(self.channels))])
         slope = self.linearise(theta, pose, False, given).by_pose[:, n:]

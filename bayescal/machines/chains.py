@@ -1,0 +1,304 @@
+"""Serial chains of joints: from Denavit-Hartenberg rows, or from a URDF file's joints between two of its links.
+
+Joint i turns about, or slides along, the z axis of its own frame, which stands at O_i in the frame that joint i - 1
+moves; the tip stands at O_tip in that of the last joint,
+
+    T(q) = O_1 M_1(q_1) O_2 M_2(q_2) ... O_tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from xml.parsers import expat
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayescal.errors import InputError
+from bayescal.numerics.geometry import Array
+
+MM = 1e3  # per metre
+MOVING = ("revolute", "continuous", "prismatic")
+FURTHEST = 1e5  # mm from one joint to the next, beyond which a file is in another unit
+SHORTEST_AXIS = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A frame in another one: its origin (3,), mm, and its axes in columns (3, 3)."""
+
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    axes: Array = field(default_factory=lambda: np.eye(3))
+
+    def then(self, other: Place) -> Place:
+        """Return a frame that stands at ``other`` in this one."""
+        return Place(self.position + self.axes @ other.position, self.axes @ other.axes)
+
+    @property
+    def back(self) -> Place:
+        """The other frame in this one."""
+        return Place(-self.axes.T @ self.position, self.axes.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of a chain, and what moves with it.
+
+    Attributes
+    ----------
+    name : str
+    place : Place
+        Its frame in that of the joint before; its axis is z.
+    slides : bool
+        Whether it is prismatic.
+    ends : tuple of float
+        Its range, rad or mm; infinite where nobody says it.
+    mass : float
+        Of what it moves up to the next joint, kg.
+    centre : ndarray, shape (3,)
+        Where the centre of that mass is, its frame after it moved, mm.
+    link : Place
+        Where the link that it moves has its own frame, seen from the joint's.
+    """
+
+    name: str
+    place: Place
+    slides: bool = False
+    ends: tuple[float, float] = (-np.inf, np.inf)
+    mass: float = 0.0
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    link: Place = field(default_factory=Place)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Joints from a base to a tip, whose frame stands at ``tip`` in the last joint's."""
+
+    joints: Sequence[Joint]
+    tip: Place
+
+
+@dataclass(frozen=True)
+class DenavitRow:
+    """A row of Denavit-Hartenberg's parameters: mm and rad."""
+
+    d: float = 0.0
+    a: float = 0.0
+    alpha: float = 0.0
+    theta: float = 0.0
+
+
+def chain_rows(rows: Sequence[DenavitRow], joints: Sequence[Joint], modified: bool, tip: Place) -> Chain:
+    """Return a chain by rows, with names, ranges and masses from ``joints``, whose places are not read.
+
+    Classical rows are Rz(q + theta) Tz(d) Tx(a) Rx(alpha), modified ones (Craig) Rx(alpha) Tx(a) Rz(q + theta) Tz(d).
+    """
+    found, before = list[Joint](), Place()
+    for row, joint in zip(rows, joints, strict=True):
+        across = Place(np.array([row.a, 0.0, 0.0]), _turn_about("x", row.alpha))
+        along = Place(np.array([0.0, 0.0, row.d]), _turn_about("z", row.theta))
+        here = before.then(across).then(along) if modified else before.then(along)
+        found.append(replace(joint, place=here))
+        before = Place() if modified else across
+    return Chain(found, before.then(tip))
+
+
+def _turn_about(axis: str, angle: float) -> Array:
+    return Rotation.from_euler(axis, angle).as_matrix()
+
+
+# --- URDF --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Element:
+    """An element of an XML file and the line that it begins in."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    children: list[Element] = field(default_factory=list)
+
+    def find(self, tag: str) -> Element | None:
+        """Return the first child of a tag."""
+        return next((one for one in self.children if one.tag == tag), None)
+
+
+def read_xml(path: Path) -> Element:
+    """Return the root of an XML file; InputError with the line for what is none, or for declarations of types."""
+    parser, stack, roots = expat.ParserCreate(), list[Element](), list[Element]()
+
+    def begin(tag: str, attributes: Mapping[str, str]) -> None:
+        one = Element(tag, attributes, parser.CurrentLineNumber)
+        (stack[-1].children if stack else roots).append(one)
+        stack.append(one)
+
+    def refuse(*_: object) -> None:
+        raise InputError(f"{path}, line {parser.CurrentLineNumber}: found a document type, expected none")
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: stack.pop()
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(path.read_bytes(), True)
+    except expat.ExpatError as error:
+        raise InputError(f"{path}, line {error.lineno}: {expat.ErrorString(error.code)}, expected XML") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}, expected a URDF file") from error
+    return roots[0]
+
+
+def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
+    """Return the chain of a URDF file from one link to another, by default from its root to its only leaf.
+
+    InputError, with the line, for a file that is no URDF, links that are not there or not in one chain, and joints that
+    no chain has: floating, planar, or following another one.
+    """
+    root = read_xml(path)
+    if root.tag != "robot":
+        raise InputError(f"{path}, line {root.line}: found <{root.tag}>, expected <robot>")
+    for one in root.children:
+        if one.tag.startswith("xacro:"):
+            raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: expand it with xacro first")
+    links = {one.attributes.get("name", ""): one for one in root.children if one.tag == "link"}
+    into = dict[str, Element]()
+    for one in (child for child in root.children if child.tag == "joint"):
+        parent, child = (_name_link(path, one, tag) for tag in ("parent", "child"))
+        for name in (parent, child):
+            if name not in links:
+                raise InputError(f"{path}, line {one.line}: joint {_name(one)!r}: found no link {name!r}")
+        if child in into:
+            raise InputError(f"{path}, line {one.line}: link {child!r}: found two joints above it, expected one")
+        into[child] = one
+    parents = {_name_link(path, one, "parent") for one in into.values()}
+    tip = _choose(path, "tip", tip, links, [name for name in links if name not in parents])
+    chosen, here = list[Element](), tip
+    roots = [name for name in links if name not in into]
+    base = base or next((name for name in roots if len(roots) == 1), "")
+    base = _choose(path, "base", base, links, roots)
+    while here != base:
+        if here not in into or len(chosen) > len(into):
+            raise InputError(f"{path}: found no chain from link {base!r} to {tip!r}, which is below {here!r}")
+        chosen.insert(0, into[here])
+        here = _name_link(path, into[here], "parent")
+    return _make_chain(path, chosen, links)
+
+
+def _choose(path: Path, what: str, name: str, links: Mapping[str, Element], ends: Sequence[str]) -> str:
+    if name and name not in links:
+        raise InputError(f"{path}: {what}: found no link {name!r}, expected one of {', '.join(links)}")
+    if not name and len(ends) != 1:
+        raise InputError(f"{path}: {what}: missing, expected one of {', '.join(ends or links)}")
+    return name or ends[0]
+
+
+def _make_chain(path: Path, chosen: Sequence[Element], links: Mapping[str, Element]) -> Chain:
+    joints, before = list[Joint](), Place()  # the frame of the link that comes, seen from the last joint's
+    for one in chosen:
+        where = f"{path}, line {one.line}: joint {_name(one)!r}"
+        kind, place = one.attributes.get("type", ""), _read_place(path, one)
+        if kind not in (*MOVING, "fixed"):
+            raise InputError(f"{where}: found type {kind!r}, expected one of {', '.join(MOVING)}, fixed")
+        if one.find("mimic") is not None:
+            raise InputError(f"{where}: found a joint that follows another, expected joints of their own")
+        here = before.then(place)
+        link = links[_name_link(path, one, "child")]
+        mass, centre = _read_mass(path, link)
+        if kind == "fixed":
+            before = here
+            if joints and mass:
+                joints[-1] = _add_mass(joints[-1], mass, here.position + here.axes @ centre)
+            continue
+        aligned = _align(_read_axis(path, one))
+        before = Place(axes=aligned.T)
+        joint = Joint(
+            *(_name(one), here.then(Place(axes=aligned)), kind == "prismatic", _read_ends(path, one, kind)),
+            link=before,
+        )
+        joints.append(_add_mass(joint, mass, before.axes @ centre))
+    if not joints:
+        raise InputError(f"{path}: found no moving joint from base to tip, expected at least one")
+    return Chain(joints, before)
+
+
+def _name(element: Element) -> str:
+    return element.attributes.get("name", "")
+
+
+def _name_link(path: Path, joint: Element, tag: str) -> str:
+    found = joint.find(tag)
+    if found is None or "link" not in found.attributes:
+        raise InputError(f"{path}, line {joint.line}: joint {_name(joint)!r}: found no {tag}, expected a link")
+    return found.attributes["link"]
+
+
+def _read_numbers(path: Path, element: Element, key: str, default: str, n: int) -> Array:
+    text = element.attributes.get(key, default)
+    try:
+        found = np.array([float(one) for one in text.split()])
+    except ValueError:
+        found = np.array([np.nan])
+    if len(found) != n or not np.isfinite(found).all():
+        expected = "a number" if n == 1 else f"{n} numbers"
+        raise InputError(f"{path}, line {element.line}: {key}: found {text!r}, expected {expected}")
+    return found
+
+
+def _read_place(path: Path, element: Element) -> Place:
+    """Return the ``origin`` of an element; none is that of what it stands in."""
+    origin = element.find("origin")
+    if origin is None:
+        return Place()
+    position = MM * _read_numbers(path, origin, "xyz", "0 0 0", 3)
+    if np.linalg.norm(position) > FURTHEST:
+        away = np.linalg.norm(position) / MM
+        raise InputError(f"{path}, line {origin.line}: xyz: found {away:g} m, expected metres")
+    angles = _read_numbers(path, origin, "rpy", "0 0 0", 3)
+    return Place(position, Rotation.from_euler("xyz", angles).as_matrix())
+
+
+def _read_axis(path: Path, joint: Element) -> Array:
+    found = joint.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if found is None else _read_numbers(path, found, "xyz", "1 0 0", 3)
+    size = np.linalg.norm(axis)
+    if size < SHORTEST_AXIS:
+        raise InputError(f"{path}, line {joint.line}: joint {_name(joint)!r}: axis: found zero, expected a direction")
+    return np.asarray(axis / size)
+
+
+def _align(axis: Array) -> Array:
+    """Return axes (3, 3) whose z is a direction; those of the frame where that is z already."""
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    if axis[2] == 1.0:
+        return np.eye(3)
+    first = np.cross(helper, axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first), axis], axis=1)
+
+
+def _read_ends(path: Path, joint: Element, kind: str) -> tuple[float, float]:
+    limit = joint.find("limit")
+    if limit is None or kind == "continuous" or not {"lower", "upper"} & set(limit.attributes):
+        return -np.inf, np.inf
+    unit = MM if kind == "prismatic" else 1.0
+    low, high = (unit * float(_read_numbers(path, limit, key, "0", 1)[0]) for key in ("lower", "upper"))
+    if not low < high:
+        raise InputError(f"{path}, line {limit.line}: limit: found {low:g} to {high:g}, expected the smaller first")
+    return low, high
+
+
+def _read_mass(path: Path, link: Element) -> tuple[float, Array]:
+    """Return a link's mass, kg, and its centre (3,), mm, link's frame; zero where nothing is said."""
+    inertial = link.find("inertial")
+    found = None if inertial is None else inertial.find("mass")
+    if inertial is None or found is None:
+        return 0.0, np.zeros(3)
+    return float(_read_numbers(path, found, "value", "0", 1)[0]), _read_place(path, inertial).position
+
+
+def _add_mass(joint: Joint, mass: float, centre: Array) -> Joint:
+    """Return a joint that moves a further mass."""
+    total = joint.mass + mass
+    shared = (joint.mass * joint.centre + mass * centre) / total if total else np.zeros(3)
+    return replace(joint, mass=total, centre=shared)

@@ -1,0 +1,294 @@
+"""An arm: joints in a chain, from Denavit-Hartenberg rows or a URDF file, with the errors that joints and links have.
+
+The coordinates q are what the joints have turned or slid. With O_i the nominal frame of joint i in that before,
+M_i(q_i) a turn about, or a slide along, its z axis and E_i its error the tip stands at
+
+    T(q) = Π O_i E_i M_i(q_i) O_tip E_tip,    E_i = (x, y, z; rx, ry, offset),
+
+in the frame of joint i itself, so that parallel axes have no singularity, as the complete and continuous
+parametrisations of Mooring, Roth and Driels (1991) have none. ``offset`` turns about the joint's own axis: the zero of a
+joint that turns; ``z`` is that of one that slides. Commands, or encoders, read
+
+    q_i - gain_i q_i - s1_i sin q_i - c1_i cos q_i - s2_i sin 2 q_i - c2_i cos 2 q_i - k_i τ_i(q),
+
+the harmonics those of an eccentric gear or scale, k_i the compliance of a joint under the moment τ_i of what it carries
+about its axis, of the nominal chain and its stated masses.
+
+Not all of these can be told apart: z_i and offset_i move on to the next joint whose axis is parallel, those of the
+first joint are as well the instrument's frame, those of the last the tool's; gain and harmonics look alike where a
+joint turns little. Of tips seen as points 4 n + 3 directions are determined at most for n joints that turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+from scipy.spatial.transform import Rotation
+
+from bayescal.config.load import FOLDER
+from bayescal.config.sections import InputFile, NotNegative, Number, Section, Vector
+from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
+from bayescal.machines.parameters import ParameterBlock
+from bayescal.machines.readings.base import POSE_CHANNELS, Channel, Coordinate, Given
+from bayescal.machines.readings.function import Parameters, ReadingMachine
+from bayescal.numerics.analytic import rotation_matrix, rotation_vector
+from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian, compute_left_jacobian
+
+GRAVITY: Final = 9.80665
+PLACES: Final = ("x", "y", "z")
+TURNS: Final = ("rx", "ry", "offset")
+HARMONICS: Final = {"s1": (np.sin, 1), "c1": (np.cos, 1), "s2": (np.sin, 2), "c2": (np.cos, 2)}
+N_M: Final = 1e-3  # per N mm
+PER_MILLION: Final = 1e-6
+FULL_TURN: Final = np.pi  # either way, of a joint whose range nobody says
+
+
+class JointConfig(Section):
+    """A joint by its Denavit-Hartenberg row."""
+
+    d_mm: Number = 0.0
+    """Along its axis [mm]."""
+    a_mm: Number = 0.0
+    """Along the common normal of two axes [mm]."""
+    alpha_deg: Number = 0.0
+    """Between two axes, about their common normal."""
+    theta_deg: Number = 0.0
+    """About its axis where it reads zero."""
+    name: str = ""
+    """What the joint is called."""
+    range_deg: Annotated[list[Number], Field(min_length=2, max_length=2)] = Field(default=[-180.0, 180.0])
+    """Smallest and largest reading of a joint that turns."""
+    mass_kg: NotNegative = 0.0
+    """What it moves up to the next joint."""
+    centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Centre of that mass, in the frame that its row ends in (modified rows: the joint's own)."""
+
+
+class ArmConfig(Section):
+    """An arm: a URDF file with the links it runs between, or the rows of its joints."""
+
+    urdf: InputFile | None = None
+    """URDF file, of which origins, axes, limits and inertias are read."""
+    base: str = ""
+    """Link of the URDF file that stands still; its root where nothing is said."""
+    tip: str = ""
+    """Link of the URDF file whose pose counts; its only leaf where nothing is said."""
+    joints: list[JointConfig] = Field(default=[])
+    """Rows of the joints, instead of a URDF file."""
+    convention: Literal["classical", "modified"] = "classical"
+    """Of the rows: `classical` (Denavit and Hartenberg) or `modified` (Craig)."""
+    tip_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Where the tip is in the frame that the last row ends in."""
+    tip_deg: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Rotation vector that turns the axes of that frame to the tip's."""
+    payload_kg: NotNegative = 0.0
+    """Mass at the tip."""
+    down: Vector = Field(default=[0.0, 0.0, -1.0])
+    """Where gravity points, frame of the base; of any length [1]."""
+    workspace_deg: list[Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default=[])
+    """Smallest and largest angle of each joint where accuracy counts; the joints' ranges where nothing is said."""
+    _chain: Chain = PrivateAttr()
+
+    @property
+    def chain(self) -> Chain:
+        """The joints."""
+        return self._chain
+
+    @model_validator(mode="after")
+    def _read_chain(self, info: ValidationInfo) -> Self:
+        if (self.urdf is None) == (not self.joints):
+            raise ValueError("found both or neither of urdf and joints, expected one")
+        if self.urdf is not None:
+            folder = (info.context or {}).get(FOLDER, Path())
+            self._chain = read_urdf(folder / self.urdf, self.base, self.tip)
+        else:
+            if self.base or self.tip:
+                raise ValueError("found base or tip beside joints, expected them beside urdf")
+            self._chain = self._chain_rows()
+        if not any(self.down):
+            raise ValueError("down: found a zero vector, expected a direction")
+        n = len(self._chain.joints)
+        if self.workspace_deg and len(self.workspace_deg) != n:
+            raise ValueError(f"workspace_deg: found {len(self.workspace_deg)} joints, expected {n}")
+        for low, high in (*self.workspace_deg, *(one.range_deg for one in self.joints)):
+            if not low < high:
+                raise ValueError(f"found a range from {low:g} to {high:g}, expected the smaller first")
+        return self
+
+    def _chain_rows(self) -> Chain:
+        rows = [
+            DenavitRow(one.d_mm, one.a_mm, *(float(x) for x in np.radians([one.alpha_deg, one.theta_deg])))
+            for one in self.joints
+        ]
+        joints = list[Joint]()
+        for k, (one, row) in enumerate(zip(self.joints, rows, strict=True), start=1):
+            low, high = np.radians(one.range_deg)
+            centre = np.array(one.centre_mm)
+            if self.convention == "classical":  # the row's end, seen from the joint's own frame
+                end = Place(np.array([row.a, 0.0, 0.0]), Rotation.from_euler("x", row.alpha).as_matrix())
+                centre = end.position + end.axes @ centre
+            name = one.name or f"joint_{k}"
+            joints.append(Joint(name, Place(), False, (float(low), float(high)), one.mass_kg, centre))
+        tip = Place(np.array(self.tip_mm), Rotation.from_rotvec(np.radians(self.tip_deg)).as_matrix())
+        return chain_rows(rows, joints, self.convention == "modified", tip)
+
+
+class Arm(ReadingMachine):
+    """Joints in a chain; commands, or encoders, of each."""
+
+    Config = ArmConfig
+    member = "joint"
+    commanded = ("joint",)
+    tool_channels = POSE_CHANNELS
+
+    def __init__(self, config: ArmConfig) -> None:
+        """Lay out parameters, coordinates and channels."""
+        super().__init__(config)
+        self.chain = config.chain
+        joints, n = self.chain.joints, len(self.chain.joints)
+        self.down = GRAVITY * np.array(config.down) / np.linalg.norm(config.down)
+        self.payload = config.payload_kg
+        self.has_mass = bool(self.payload or any(one.mass for one in joints))
+        self.slides = np.array([one.slides for one in joints])
+        nothing = (0.0,) * n
+        self.parameters = [
+            *(ParameterBlock(symbol, nothing) for symbol in PLACES),
+            *(ParameterBlock(symbol, nothing, "rad") for symbol in TURNS),
+            ParameterBlock("tool", (0.0,) * 3),
+            ParameterBlock("tool_r", (0.0,) * 3, "rad"),
+            ParameterBlock("gain", nothing, "1"),
+            *(ParameterBlock(symbol, nothing, "rad") for symbol in HARMONICS),
+            *([ParameterBlock("k", nothing, "1e-6 rad/(N m)")] if self.has_mass else []),
+        ]
+        ends = [(max(low, -FULL_TURN), min(high, FULL_TURN)) for low, high in (one.ends for one in joints)]
+        ends = [one.ends if one.slides else some for one, some in zip(joints, ends, strict=True)]
+        if config.workspace_deg:
+            ends = [(float(low), float(high)) for low, high in np.radians(config.workspace_deg)]
+        units = ["mm" if one else "rad" for one in self.slides]
+        self.coordinates = [
+            Coordinate(f"q{k}", unit, (low + high) / 2.0, (high - low) / 2.0)
+            for k, (unit, (low, high)) in enumerate(zip(units, ends, strict=True), start=1)
+        ]
+        self.channels = [Channel(f"joint[{k}]", unit) for k, unit in enumerate(units, start=1)]
+
+    @property
+    def ranges(self) -> Array:
+        """Smallest and largest reading of each joint, shape (n, 2)."""
+        return np.array([one.ends for one in self.chain.joints])
+
+    def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
+        """Return what commands, or encoders, of the joints read."""
+        del given
+        turned = v - parameters["gain"] * v
+        for symbol, (function, times) in HARMONICS.items():
+            turned = turned - parameters[symbol] * np.where(self.slides, 0.0, function(times * v))
+        if self.has_mass:
+            turned = turned - PER_MILLION * parameters["k"] * self._load(v)
+        return np.asarray(turned)
+
+    # --- where the tip is --------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _nominal(self) -> Parameters:
+        """Parameters of the chain as it is drawn: zero, every one."""
+        return {one.symbol: np.zeros(len(one.nominal)) for one in self.parameters}  # type: ignore[return-value]
+
+    def _follow(self, parameters: Parameters | Mapping[str, np.ndarray], v: np.ndarray) -> dict[str, Any]:
+        """Return origins (..., n + 1, 3) and axes (..., n + 1, 3, 3) of all joints and the tip, base frame.
+
+        ``drawn`` are the axes in which errors stand, before they turn; ``axes`` those of a joint before it moves.
+        """
+        places = np.stack([parameters[symbol] for symbol in PLACES], axis=-1)
+        turns = np.stack([parameters[symbol] for symbol in TURNS], axis=-1)
+        errors = rotation_matrix(turns)
+        leading = np.broadcast_shapes(places.shape[:-2], v.shape[:-1])
+        position: np.ndarray = np.zeros(3)
+        axes: np.ndarray = np.eye(3)
+        origins, drawn, turned = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+        for k, joint in enumerate(self.chain.joints):
+            position = position + axes @ joint.place.position
+            drawn.append(axes @ joint.place.axes)
+            position = position + (drawn[-1] @ places[..., k, :, None])[..., 0]
+            axes = drawn[-1] @ errors[..., k, :, :]
+            turned.append(axes)
+            origins.append(position)
+            q = v[..., k, None]
+            x, y, z = (axes[..., i] for i in range(3))
+            if joint.slides:
+                position = position + q * z
+            else:
+                cosine, sine = np.cos(q), np.sin(q)
+                axes = np.stack(np.broadcast_arrays(cosine * x + sine * y, cosine * y - sine * x, z), axis=-1)
+        position = position + axes @ self.chain.tip.position
+        drawn.append(axes @ self.chain.tip.axes)
+        origins.append(position + (drawn[-1] @ parameters["tool"][..., None])[..., 0])
+        turned.append(drawn[-1] @ rotation_matrix(parameters["tool_r"]))
+        return {
+            "origins": np.stack([np.broadcast_to(one, (*leading, 3)) for one in origins], axis=-2),
+            "drawn": np.stack([np.broadcast_to(one, (*leading, 3, 3)) for one in drawn], axis=-3),
+            "axes": np.stack([np.broadcast_to(one, (*leading, 3, 3)) for one in turned], axis=-3),
+            "turns": turns,
+        }
+
+    def _load(self, v: np.ndarray) -> np.ndarray:
+        """Return the moment about each joint's axis of what it carries, (..., n), N m; zero of joints that slide."""
+        at = self._follow(self._nominal, v)
+        origins, axes = at["origins"], at["axes"]
+        weight = np.zeros((*origins.shape[:-2], 3)) + self.payload * self.down
+        moment = np.cross(origins[..., -1, :], weight)
+        found = list[np.ndarray]()
+        for k in reversed(range(len(self.chain.joints))):
+            joint = self.chain.joints[k]
+            if joint.mass:
+                q, (x, y, z) = v[..., k, None], (axes[..., k, :, i] for i in range(3))
+                cosine, sine = (np.cos(q), np.sin(q)) if not joint.slides else (1.0, 0.0)
+                a, b, c = joint.centre
+                centre = origins[..., k, :] + a * (cosine * x + sine * y) + b * (cosine * y - sine * x) + c * z
+                centre = centre + (q * z if joint.slides else 0.0)
+                own = joint.mass * self.down
+                moment, weight = moment + np.cross(centre, own), weight + own
+            about = moment - np.cross(origins[..., k, :], weight)
+            found.insert(0, N_M * (axes[..., k, :, 2] * about).sum(axis=-1) * (not joint.slides))
+        return np.stack(found, axis=-1)
+
+    def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
+        """Return position and rotation vector of the tip in the base frame."""
+        at = self._follow(parameters, v)
+        return np.concatenate([at["origins"][..., -1, :], rotation_vector(at["axes"][..., -1, :, :])], axis=-1)
+
+    def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]]:
+        """Return how the tip moves by the coordinates, (..., 6, n), and by parameters: a screw of each."""
+        at = self._follow(parameters, v)
+        n = len(self.chain.joints)
+        tip = at["origins"][..., -1:, :]
+        reach = tip - at["origins"][..., :-1, :]
+        vector = compute_left_inverse_jacobian(rotation_vector(at["axes"][..., -1, :, :]))[..., None, :, :]
+
+        def screw(axis: Array, arm: Array) -> Array:
+            """Return what a turn about an axis through a point moves, (..., 6)."""
+            turned = (vector @ axis[..., None])[..., 0]
+            moved, turned = np.broadcast_arrays(np.cross(axis, arm), turned)
+            return np.concatenate([moved, turned], axis=-1)
+
+        def slide(axis: Array) -> Array:
+            return np.concatenate([axis, np.zeros_like(axis)], axis=-1)
+
+        own = at["axes"][..., :n, :, 2]
+        by_pose = np.where(self.slides[:, None], slide(own), screw(own, reach))
+        by = dict[str, Array]()
+        # Exp(φ + dφ) = Exp(Jl dφ) Exp(φ), in the axes as drawn
+        bent = at["drawn"][..., :n, :, :] @ compute_left_jacobian(at["turns"])
+        # a slide comes after its joint's error, which turns it: the arm reaches from the joint's origin all the same
+        for i in range(3):
+            by[PLACES[i]] = np.swapaxes(slide(at["drawn"][..., :n, :, i]), -1, -2)
+            by[TURNS[i]] = np.swapaxes(screw(bent[..., i], reach), -1, -2)
+        last = at["drawn"][..., -1, :, :]
+        by["tool"] = np.concatenate([last, np.zeros_like(last)], axis=-2)
+        turned = vector[..., 0, :, :] @ last @ compute_left_jacobian(np.asarray(parameters["tool_r"]))
+        by["tool_r"] = np.concatenate([np.zeros_like(turned), turned], axis=-2)
+        return np.swapaxes(by_pose, -1, -2), by
