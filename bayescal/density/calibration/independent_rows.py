@@ -30,7 +30,7 @@ from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, find_step, invert
 from bayescal.density.linear_gaussian import whiten
 from bayescal.density.low_rank import factor_by_columns
-from bayescal.machines.readings import BoundReadings
+from bayescal.machines.readings.base import BoundModel, BoundReadings
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
 
@@ -107,12 +107,13 @@ class IndependentRowsLikelihood:
 
     @classmethod
     def build(
-        cls, likelihood: CalibrationLikelihood, errors: ErrorModel, theta: Array
+        cls, likelihood: CalibrationLikelihood, errors: ErrorModel, theta: Array, turns: bool = True
     ) -> IndependentRowsLikelihood | None:
         """Return it about a machine (D,) for a density that starts where that explains the readings; None if it cannot.
 
         It cannot where readings are missing, the machine binds no readings, or model errors are not those of as many
-        channels as there are rows. Where noise has an unknown factor it finds the rows by the stated one.
+        channels as there are rows. Where noise has an unknown factor it finds the rows by the stated one. Readings that
+        are bound by `BoundModel` cost two of the machine's own: only where slopes so turn is that less than poses cost.
         """
         data, near = likelihood.data, likelihood.expansion
         n, q = data.sd.shape[1], len(likelihood.model.coordinates)
@@ -123,7 +124,7 @@ class IndependentRowsLikelihood:
         if errors.has_factors:
             errors = errors.without(errors.noisy)
         bound = likelihood.model.bind(theta, data.values, likelihood.start, data.given)
-        if bound is None:
+        if bound is None or (isinstance(bound, BoundModel) and not turns):
             return None
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
         at = likelihood.stand(theta[None], white)
@@ -172,8 +173,15 @@ class IndependentRowsLikelihood:
         )
 
     @property
+    def is_own(self) -> bool:
+        """Whether the machine itself binds its readings, in a form of its own."""
+        return not isinstance(self.bound, BoundModel)
+
+    @property
     def followed(self) -> IndependentRowsLikelihood:
         """The same with readings followed to the pose that a machine takes, whatever the scale of their slopes."""
+        if isinstance(self.bound, BoundModel):
+            return replace(self, bound=replace(self.bound, slope=None, last=[]), scratch=Scratch())
         bound = FollowedBound(self.bound, self.comparison, self.values, self.slope, np.linalg.pinv(self.slope))
         return replace(self, bound=bound, scratch=Scratch())
 

@@ -27,6 +27,8 @@ from bayescal.numerics.threads import map_in_threads
 VOLUME_STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GOOD, ROUGH = 0.1, 0.4  # of what the log-density differs by among them: a fast form that is off by it is good, or bad
+CLOSE = 0.01  # the same of readings that follow slopes which are no machine's own form
+MOST_TURNED = 0.5  # share of these for which slopes have to be near enough to the anchor's
 LEAST_DIFFERENCE = 15.0  # nats that these count at least for: few parameters differ by less than errors of a matrix do
 LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
 
@@ -427,15 +429,17 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
             error = near.density(every, alone, zeta) - exact.density(every, alone, zeta)
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
         frozen = FixedCovarianceRows.build(found, errors, theta)
-        lone = IndependentRowsLikelihood.build(
-            found, errors if errors.is_common_known else errors.without(errors.common), theta
-        )
+        single = errors if errors.is_common_known else errors.without(errors.common)
+        assert found.expansion is not None
+        # where slopes turn with the machine chords lead nowhere, and poses cost derivatives
+        turns = bool(np.mean(found.expansion.measure(every) <= found.expansion.limit) < MOST_TURNED)
+        lone = IndependentRowsLikelihood.build(found, single, theta, turns=turns)
         if frozen is None and lone is not None and errors.has_factors:
             frozen = FixedCovarianceRows.build(found, errors, theta, single=True)
             lone = None if frozen is None else lone
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
-        if lone is not None and off > GOOD:  # slopes whose scale changes with the machine, or poses that go far
+        if lone is not None and off > (GOOD if lone.is_own else CLOSE):  # slopes whose scale changes with the machine, or poses that go far
             other = replace(fast, lone=lone.followed)
             fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
         if off < ROUGH:

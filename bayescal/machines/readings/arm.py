@@ -186,8 +186,9 @@ class Arm(ReadingMachine):
         del given
         turned = v - parameters["gain"] * v
         for symbol, (function, times) in HARMONICS.items():
-            turned = turned - parameters[symbol] * np.where(self.slides, 0.0, function(times * v))
-        if self.has_mass:
+            if np.any(parameters[symbol]):
+                turned = turned - parameters[symbol] * np.where(self.slides, 0.0, function(times * v))
+        if self.has_mass and np.any(parameters["k"]):
             turned = turned - PER_MILLION * parameters["k"] * self._load(v)
         return np.asarray(turned)
 

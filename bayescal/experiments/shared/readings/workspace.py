@@ -12,10 +12,11 @@ import numpy as np
 
 from bayescal.data.truth import round_as_written
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.density.calibration.poses import search_poses
+from bayescal.density.calibration.poses import PoseElimination, search_poses
 from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig, WorkspaceConfig
 from bayescal.machines.readings import POSE, Given, ReadingModel
+from bayescal.machines.readings.base import draw_points
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
@@ -27,6 +28,7 @@ N_WORKSPACE = 200
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100
 LARGEST_GRID = 81  # starts; beyond, they are drawn
+STRAIGHT = 1e-9  # of a slope, by which it may be another elsewhere
 TRIED = 150
 """Rows of many that are looked for from all starts: where the middle leads as far with each, it is the start of all."""
 SAME_RATIO, FAR = 1.01, 4.0
@@ -203,8 +205,8 @@ def search_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: i
     white = likelihood.whiten(*posterior.likelihood.noise(posterior.errors, posterior.zeta(posterior.begin[None])))
 
     def search(rows: np.ndarray, some: Array) -> tuple[Array, Array]:
-        """Return the best poses of some rows from some starts, and what they leave, r²."""
-        from_all = np.repeat(some[:, None], len(rows), axis=1)
+        """Return the best poses of some rows from some starts (S, q), or (1, P, q), and what they leave, r²."""
+        from_all = some if some.ndim > 2 else np.repeat(some[:, None], len(rows), axis=1)
         with np.errstate(all="ignore"):
             found, square = search_poses(likelihood.pick(rows), theta, white.at_poses(rows), from_all)
         square = np.where(np.isnan(square), np.inf, square)
@@ -215,17 +217,47 @@ def search_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: i
     pose = np.repeat(starts[:1], n, axis=0)
     if not pose.shape[-1]:
         left = every[:0]
+    elif _reads_coordinates(likelihood, theta):
+        return np.asarray(search(every, _locate_rows(posterior, theta, starts[0]))[0])
     elif n <= 2 * TRIED:
         left = every
     else:
         tried = np.sort(np.random.default_rng([seed, 5]).choice(n, TRIED, replace=False))
         _, least = search(tried, starts)
-        pose, square = search(every, starts[:1])
+        pose, square = search(every, _locate_rows(posterior, theta, starts[0]))
         usual = bool((square[tried] <= SAME_RATIO * least + SAME_RATIO - 1.0).all())
         left = every[square > FAR * least.max()] if usual else every
     if len(left):
         pose[left], _ = search(left, starts)
     return np.asarray(pose)
+
+
+def _reads_coordinates(likelihood: PoseElimination, theta: Array) -> bool:
+    """Return whether each row has commanded channels that are the coordinates but for scale: one pose has them alone.
+
+    So are those of a machine (D,) whose slopes are everywhere the same.
+    """
+    model, data = likelihood.model, likelihood.data
+    commanded = model.select(model.commanded)
+    if len(commanded) != len(model.coordinates) or not data.present[:, commanded].all():
+        return False
+    _, pose, given = draw_points(model)
+    slope = model.linearise(theta, pose, False, given).by_pose[:, commanded]
+    same = np.abs(slope - slope[:1]) <= STRAIGHT * np.abs(slope[:1]).max()
+    return bool(same.all() and np.linalg.matrix_rank(slope[0]) == len(commanded))
+
+
+def _locate_rows(posterior: CalibrationPosterior, theta: Array, home: Array) -> Array:
+    """Return where a machine (D,) stands by what its commanded channels read, (1, P, q); at home where it does not."""
+    data, model = posterior.likelihood.data, posterior.likelihood.model
+    commands = data.values[:, model.select(model.commanded)] if model.commanded else np.empty((data.n_poses, 0))
+    pose = np.broadcast_to(home, (data.n_poses, len(home))).copy()
+    if commands.shape[1] < len(home):
+        return pose[None]
+    there = np.flatnonzero(data.present[:, model.select(model.commanded)].all(axis=1))
+    found, good = model.locate(theta, commands[there], {name: one[there] for name, one in data.given.items()})
+    pose[there[good]] = found[good]
+    return pose[None]
 
 
 def check_told(posterior: CalibrationPosterior, pose: Array, workspace: Workspace) -> None:
