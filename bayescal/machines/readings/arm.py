@@ -259,8 +259,45 @@ class Arm(ReadingMachine):
 
     def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
         """Return position and rotation vector of the tip in the base frame."""
+        position, axes = self.place_tool(parameters, v)
+        return np.concatenate([position, rotation_vector(axes)], axis=-1)
+
+    def place_tool(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and axes of the tip in the base frame."""
+        own = parameters["x"]
+        if own.ndim == 3 and own.shape[1] == 1 and v.ndim > 1 and not np.iscomplexobj(own) and not np.iscomplexobj(v):
+            return self._follow_many(parameters, v)
         at = self._follow(parameters, v)
-        return np.concatenate([at["origins"][..., -1, :], rotation_vector(at["axes"][..., -1, :, :])], axis=-1)
+        return at["origins"][..., -1, :], at["axes"][..., -1, :, :]
+
+    def _follow_many(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Array]:
+        """Return the tip of many machines (B, 1, D) at poses (P, n) or (B, P, n): a product of matrices each a joint.
+
+        As `_follow`, where the axes of all poses of a machine are the rows of one matrix.
+        """
+        moves = [np.stack([parameters[one] for one in names], axis=-1)[:, 0] for names in (PLACES, TURNS)]
+        tools = (parameters["tool"], parameters["tool_r"])
+        moves = [np.concatenate([one, tool], axis=1) for one, tool in zip(moves, tools, strict=True)]
+        errors = rotation_matrix(moves[1])
+        n_machines, n_poses = len(errors), v.shape[-2]
+        axes = np.broadcast_to(np.eye(3), (n_machines, n_poses, 3, 3))
+        position = np.zeros((n_machines, n_poses, 3))
+        places = [*(one.place for one in self.chain.joints), self.chain.tip]
+        cosine, sine = np.cos(v)[..., None], np.sin(v)[..., None]
+        for k, place in enumerate(places):
+            step = np.empty((n_machines, 3, 4))
+            step[..., :3] = place.axes @ errors[:, k]
+            step[..., 3] = place.position + moves[0][:, k] @ place.axes.T
+            moved = (axes.reshape(n_machines, -1, 3) @ step).reshape(n_machines, n_poses, 3, 4)
+            axes, position = moved[..., :3], position + moved[..., 3]
+            if k == len(self.chain.joints):
+                break
+            if self.slides[k]:
+                position = position + v[..., k, None] * axes[..., 2]
+                continue
+            x, y, c, s = axes[..., 0], axes[..., 1], cosine[..., k, :], sine[..., k, :]
+            axes = np.stack([c * x + s * y, c * y - s * x, axes[..., 2]], axis=-1)
+        return position, axes
 
     def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]]:
         """Return how the tip moves by the coordinates, (..., 6, n), and by parameters: a screw of each."""

@@ -303,6 +303,14 @@ class ReadingMachine(ABC):
         del parameters
         return v
 
+    def place_tool(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return position (..., 3) and axes (..., 3, 3) of the tool in the base frame, as `tool` has them.
+
+        None by default; what instruments are spared is a rotation vector on the way to its matrix.
+        """
+        del parameters, v
+        return None
+
     def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]] | None:
         """Return derivatives of `tool` in closed form: ∂/∂v (..., m, q), and by symbol (..., m, n) or (..., m).
 
@@ -555,6 +563,10 @@ class FunctionModel(ReadingModel):
             places = self.layout.index[symbol]
             by_parameters[..., places] = slopes.reshape(*slopes.shape[: values.ndim], len(places))
         return values, by_pose, by_parameters
+
+    def place_tool(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
+        """Return position and axes of the tool where the machine has them; see `ReadingMachine.place_tool`."""
+        return self.machine.place_tool(Parameters(self.layout, theta), pose)
 
     def _step_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return the same by complex steps."""

@@ -457,10 +457,18 @@ class InstrumentedMachine(ReadingModel):
         own, *others = self._split(theta)
         parts = [self.whole.read(own, pose, given)]
         if len(self.channels) > len(self.whole.channels):
-            tool = self._place_tool(self.whole.tool_values(own, pose), pose)
-            parts += [one.read(some, tool) for one, some in zip(self.instruments, others, strict=True)]
+            parts += self._see(own, others, pose)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
         return np.concatenate([np.broadcast_to(one, (*shape, one.shape[-1])) for one in parts], axis=-1)
+
+    def _see(self, own: Array, others: Sequence[Array], pose: Array) -> list[Array]:
+        """Return what each instrument reads of machines (..., D) whose tools are at poses (..., q)."""
+        placed = self.whole.place_tool(own, pose) if isinstance(self.whole, FunctionModel) else None
+        pairs = zip(self.instruments, others, strict=True)
+        if placed is None or not all(isinstance(one.machine, Instrument) for one in self.instruments):
+            tool = self._place_tool(self.whole.tool_values(own, pose), pose)
+            return [one.read(some, tool) for one, some in pairs]
+        return [one.take(one.machine.see(Parameters(one.layout, some), *placed)) for one, some in pairs]  # type: ignore[attr-defined]
 
     def linearise(
         self, theta: Array, pose: Array, with_parameters: bool = True, given: Given = NO_CONDITIONS
