@@ -23,6 +23,7 @@ from bayescal.machines.readings.placed import (
     PoseConfig,
     PoseInstrument,
 )
+from bayescal.machines.readings.places import TwoPlaces
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 
 LEGS = {
@@ -78,6 +79,7 @@ TURNING = {
     "m2 struts": lambda: read("experiments/m2_hexapod_table/machine.toml"),
     "sliding platform": sliding_star,
     "turning arm": lambda: FunctionModel("arm", TurningArm(None)),
+    "turning arm at two places": lambda: FunctionModel("arm", TwoPlaces(TurningArm(None))),
 }
 ALONE = {
     "base legs": lambda: build_legs("base"),

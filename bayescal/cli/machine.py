@@ -431,10 +431,10 @@ def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: Calibra
 def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     from bayescal.density.calibration.measurements import Measurements
     from bayescal.experiments.shared.readings.data_schema import ReadingsDataConfig
-    from bayescal.experiments.shared.readings.reading_tables import read_tables
+    from bayescal.experiments.shared.readings.reading_tables import complete_readings, read_tables
 
-    section = ReadingsDataConfig.model_construct(file=path.name)
-    found = read_tables([section], path.parent, calibrated.model.channels, calibrated.model.given)
+    section, model = ReadingsDataConfig.model_construct(file=path.name), calibrated.model
+    found = complete_readings(read_tables([section], path.parent, model.channels, model.given), model)
     return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
 
 

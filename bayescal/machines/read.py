@@ -19,6 +19,8 @@ from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mec
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
+from bayescal.machines.readings.function import check_members
+from bayescal.machines.readings.places import TwoPlaces
 from bayescal.machines.schema import (
     BeamSectionConfig,
     HomeConfig,
@@ -232,7 +234,10 @@ def read_reading_model(path: Path) -> ReadingModel:
     with name_faults(path):
         with name_failures(found, "kind"):
             machine = found(getattr(config, "machine", config))
-        return FunctionModel(config.name, machine)
+        if config.places == 1:
+            return FunctionModel(config.name, machine)
+        check_members(config.name, machine)  # which are doubled
+        return FunctionModel(config.name, TwoPlaces(machine))
 
 
 def _check_file(found: type[ReadingMachine], content: dict[str, Any], path: Path, text: str) -> Any:
@@ -272,6 +277,10 @@ def read_legs(path: Path) -> Legs:
     """Return the mechanism on legs of a TOML file seen by its sensors; InputError names the file."""
     content, text = read_toml(path)
     config = check_section(LegsMachineConfig, content, path, text)
+    if config.places != 1:
+        raise InputError(
+            f"{path}: places: found {config.places} of a machine on legs, expected a machine of one function"
+        )
     file = path.parent / config.mechanism
     mechanism = load_mechanism(file)
 

@@ -231,6 +231,10 @@ class MachineFileConfig(Section):
     """What pages call the machine; its name where nothing is said."""
     source: str = ""
     """Where the dimensions come from."""
+    places: Literal[1, 2] = 1
+    """In a row of the data the machine stands at one place, or at `2`: then channels are `s[1a]` and `s[1b]`,
+    `height[a]` and `height[b]`, and `distance` from tool to tool [1].
+    """
 
 
 class SlidingPlatformConfig(MachineFileConfig):

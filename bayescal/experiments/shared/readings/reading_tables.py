@@ -100,6 +100,15 @@ def _make_empty(poses: Sequence[str], k: int, is_correlated: bool, given: Sequen
     )
 
 
+def complete_readings(found: PoseReadings, model: ReadingModel) -> PoseReadings:
+    """Return the same with the readings that anyone may state of a machine; see `ReadingModel.complete`."""
+    values = model.complete(found.values)
+    stated = np.isnan(found.values) & np.isfinite(values)
+    if not stated.any():
+        return found
+    return replace(found, values=values, sd=np.where(stated, model.complete(found.sd), found.sd))
+
+
 def join_readings(blocks: Sequence[PoseReadings], model: ReadingModel, path: Path) -> PoseReadings:
     """Return readings of all channels that several tables have, rows of one pose together.
 
