@@ -15,6 +15,7 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
+from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
 from bayescal.machines.readings.placed import (
     DistanceConfig,
     DistanceInstrument,
@@ -48,6 +49,13 @@ def read(path: str) -> ReadingModel:
     return read_reading_model(studies.EXPERIMENTS.parent / path)
 
 
+def build_delta() -> DeltaMachine:
+    """Return a linear delta whose towers, arms and endstops differ."""
+    own = {"radius_mm": [118.0, 121.0, 120.5], "arm_mm": [280.0, 281.0, 279.0], "endstop_mm": [300.0, 301.5, 299.0]}
+    space = {"workspace_radius_mm": 90.0, "workspace_height_mm": 150.0}
+    return DeltaMachine(DeltaMachineConfig(**own, angle_deg=[211.0, 329.0, 90.0], **space))
+
+
 class TurningArm(own_arm.Arm):
     """The arm with a tool that turns with its column and its forearm."""
 
@@ -67,6 +75,8 @@ class TurningArm(own_arm.Arm):
 
 LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
+    "delta printer at two places": lambda: read("experiments/flsun_v400/machine.toml"),
+    "towers apart": lambda: FunctionModel("towers", build_delta()),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
     "three_rps": lambda: read("benchmarks/three_rps/solved.toml"),
     "arm": lambda: FunctionModel("arm", own_arm.Arm(None)),

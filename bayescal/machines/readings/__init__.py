@@ -7,6 +7,7 @@ from bayescal.machines.readings.placed import Instrument, InstrumentedMachine, P
 from bayescal.machines.readings.tracker import Tracker
 
 MACHINES = {
+    "delta": "bayescal.machines.readings.delta:DeltaMachine",
     "mount": "bayescal.machines.readings.mount:Mount",
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
     "sliding_platform": "bayescal.machines.readings.sliding_platform:SlidingPlatform",
