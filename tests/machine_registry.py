@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import own_arm
 import studies
+from deltas import build_delta
 from function_machines import point_on_lines
 from sliding_platforms import build, make_content, sliding_star, star_of
 
@@ -15,7 +16,6 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
-from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
 from bayescal.machines.readings.placed import (
     DistanceConfig,
     DistanceInstrument,
@@ -47,13 +47,6 @@ def build_legs(name: str) -> Legs:
 def read(path: str) -> ReadingModel:
     """Return the machine of a shipped file."""
     return read_reading_model(studies.EXPERIMENTS.parent / path)
-
-
-def build_delta() -> DeltaMachine:
-    """Return a linear delta whose towers, arms and endstops differ."""
-    own = {"radius_mm": [118.0, 121.0, 120.5], "arm_mm": [280.0, 281.0, 279.0], "endstop_mm": [300.0, 301.5, 299.0]}
-    space = {"workspace_radius_mm": 90.0, "workspace_height_mm": 150.0}
-    return DeltaMachine(DeltaMachineConfig(**own, angle_deg=[211.0, 329.0, 90.0], **space))
 
 
 class TurningArm(own_arm.Arm):

@@ -67,19 +67,24 @@ def export(
     options: MachineOptions,
     name: Annotated[
         str | None,
-        typer.Option("--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins."),
+        typer.Option("--format", help="mechanism, parameters, toml, json, csv, urdf, genhexkins, klipper ..."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
     from bayescal.calibrated.formats import export_machine
+    from bayescal.calibrated.printer_formats import FORMATS as FIRMWARES
+    from bayescal.calibrated.printer_formats import describe_carried
     from bayescal.files.atomic import check_writable
 
     calibrated = options.load(results)
     where = out or Path("machines") / calibrated.source.stem
     check_writable(where)
-    for path in export_machine(calibrated, where, name):
+    written = export_machine(calibrated, where, name)
+    for path in written:
         echo(f"wrote {path}")
+    for line in describe_carried(written) if name in FIRMWARES else ():
+        echo(line)
     _tell_missing(results, calibrated)
 
 

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import machine_registry
 import numpy as np
 import pandas as pd
 import pytest
 import studies
+from deltas import build_delta, trilaterate
 
 from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
 
 FLSUN = studies.EXPERIMENTS / "flsun_v400"
 
 
-def trilaterate(centre, arm):
-    """Return the lower point at distances arm (3,) from centres (3, 3), as firmwares compute where carriages lead."""
-    first, second, third = centre
-    along = (second - first) / np.linalg.norm(second - first)
-    aside = third - first - along * (along @ (third - first))
-    width, start = np.linalg.norm(aside), along @ (third - first)
-    aside, long = aside / width, np.linalg.norm(second - first)
-    x = (arm[0] ** 2 - arm[1] ** 2 + long**2) / (2.0 * long)
-    y = (arm[0] ** 2 - arm[2] ** 2 + start**2 + width**2 - 2.0 * start * x) / (2.0 * width)
-    up = np.cross(along, aside)
-    return first + x * along + y * aside - np.sign(up[2]) * up * np.sqrt(arm[0] ** 2 - x**2 - y**2)
-
-
 def test_carriages_lead_back_to_the_tool(rng):
-    machine = machine_registry.build_delta()
+    machine = build_delta()
     known = {one.symbol: np.array(one.nominal) for one in machine.parameters}
     for point in rng.uniform([-60.0, -60.0, 0.0], [60.0, 60.0, 150.0], (20, 3)):
         read = machine.read(known, point, {})
