@@ -98,10 +98,11 @@ def compensate(
     allow_unreachable: Annotated[bool, typer.Option("--allow-unreachable", help="Mark unreachable poses.")] = False,
 ) -> None:
     """Compute the corrected actuator positions that hold wanted poses, and their uncertainty."""
+    from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import compensate_poses
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
-    calibrated = options.load(results)
+    calibrated = take_one_place(options.load(results))
     check_out(out)
     commanded = read_commanded(poses, calibrated)
     _check_many(len(commanded.names), 1, calibrated)
@@ -125,10 +126,11 @@ def predict(
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
     from bayescal.calibrated.drawn_machines import draw_poses
+    from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import check_determined, predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
 
-    calibrated = options.load(results)
+    calibrated = take_one_place(options.load(results))
     check_out(out)
     check_out(draws_out)
     check_determined(calibrated)

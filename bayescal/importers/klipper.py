@@ -311,7 +311,7 @@ name = "delta"
 title = "A delta printer from its own calibration"
 seed = 1
 machine = "machine.toml"
-noise_factor_log_sd = {{ measured = 1.0 }}  # how much heights and distances scatter is unknown
+noise_factor_log_sd = {{ probe_and_calliper = 1.0 }}  # how much heights and distances scatter is unknown
 variants = [                             # tower 3 says where x and y are
 {variants}]
 
@@ -324,7 +324,7 @@ file = "data/readings.csv"
 
 [sensors]                                # heights and distances weigh as in Klipper's fit
 s = {{ noise_um = 1.0 }}
-height = {{ noise_um = {HEIGHT_UM}, noise_group = "measured" }}
+height = {{ noise_um = {HEIGHT_UM}, noise_group = "probe_and_calliper" }}
 {distance}
 [model_error]
 terms = []                               # the scatter takes in what the geometry leaves
@@ -340,4 +340,4 @@ e = {{ prior = "normal", sd = 10.0 }}
 def _weigh_distance(n_heights: int, n_distances: int) -> str:
     """Return the line of the distances' noise, by which they weigh as much against heights as in Klipper's fit."""
     noise = HEIGHT_UM * (n_distances / (WEIGHT * max(1, n_heights))) ** 0.5
-    return f'distance = {{ noise_um = {round(noise, 1)!r}, noise_group = "measured" }}\n'
+    return f'distance = {{ noise_um = {round(noise, 1)!r}, noise_group = "probe_and_calliper" }}\n'

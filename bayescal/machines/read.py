@@ -19,7 +19,6 @@ from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mec
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
-from bayescal.machines.readings.function import check_members
 from bayescal.machines.readings.places import TwoPlaces
 from bayescal.machines.schema import (
     BeamSectionConfig,
@@ -236,7 +235,7 @@ def read_reading_model(path: Path) -> ReadingModel:
             machine = found(getattr(config, "machine", config))
         if config.places == 1:
             return FunctionModel(config.name, machine)
-        check_members(config.name, machine)  # which are doubled
+        FunctionModel(config.name, machine)  # checked by its own name before it is doubled
         return FunctionModel(config.name, TwoPlaces(machine))
 
 

@@ -47,10 +47,10 @@ class TwoPlaces(ReadingMachine):
         coordinates = [replace(one, name=f"{one.name}_{place}") for place in PLACES for one in machine.coordinates]
         q = len(machine.coordinates)
         self.coordinates = [*coordinates[:q], *(_move(one) for one in coordinates[q:])]
-        doubled = [_name_channel(one, place) for place in PLACES for one in machine.channels]
+        doubled = [name_channel(one, place) for place in PLACES for one in machine.channels]
         self.channels = [*doubled, Channel(DISTANCE, "mm", external=True)]
         commanded = [one.name for one in machine.channels if {one.name, one.kind} & {*machine.commanded}]
-        names = {one.name: [_name_channel(one, place).name for place in PLACES] for one in machine.channels}
+        names = {one.name: [name_channel(one, place).name for place in PLACES] for one in machine.channels}
         self.commanded = [names[name][k] for k in range(len(PLACES)) for name in commanded]
         self.given = tuple(f"{name}_{place}" for place in PLACES for name in machine.given)
 
@@ -102,7 +102,7 @@ class TwoPlaces(ReadingMachine):
         return filled
 
 
-def _name_channel(channel: Channel, place: str) -> Channel:
+def name_channel(channel: Channel, place: str) -> Channel:
     """Return a channel as that of a place."""
     kind, _, number = channel.name.partition("[")
     rotation = f"{channel.rotation}_{place}" if channel.rotation else ""
