@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
+from bayescal.machines.readings.rotary_delta import RotaryDelta, RotaryDeltaConfig
 
 
 def build_delta() -> DeltaMachine:
@@ -12,6 +13,13 @@ def build_delta() -> DeltaMachine:
     own = {"radius_mm": [118.0, 121.0, 120.5], "arm_mm": [280.0, 281.0, 279.0], "endstop_mm": [300.0, 301.5, 299.0]}
     space = {"workspace_radius_mm": 90.0, "workspace_height_mm": 150.0}
     return DeltaMachine(DeltaMachineConfig(**own, angle_deg=[211.0, 329.0, 90.0], **space))
+
+
+def build_rotary_delta() -> RotaryDelta:
+    """Return a rotary delta whose arms differ."""
+    own = {"radius_mm": 80.0, "height_mm": 380.0, "upper_arm_mm": [170.0, 171.0, 169.0], "lower_arm_mm": 320.0}
+    space = {"workspace_radius_mm": 120.0, "workspace_height_mm": 80.0}
+    return RotaryDelta(RotaryDeltaConfig(**own, angle_deg=[31.0, 149.0, 270.0], **space))
 
 
 def trilaterate(centre: np.ndarray, arm: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import own_arm
 import studies
-from deltas import build_delta
+from deltas import build_delta, build_rotary_delta
 from function_machines import point_on_lines
 from sliding_platforms import build, make_content, sliding_star, star_of
 
@@ -69,6 +69,7 @@ class TurningArm(own_arm.Arm):
 LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
     "delta printer at two places": lambda: read("experiments/flsun_v400/machine.toml"),
+    "rotary delta": lambda: FunctionModel("rotary", build_rotary_delta()),
     "towers apart": lambda: FunctionModel("towers", build_delta()),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
     "three_rps": lambda: read("benchmarks/three_rps/solved.toml"),

@@ -64,7 +64,7 @@ class DeltaMachine(ReadingMachine):
     def __init__(self, config: DeltaMachineConfig) -> None:
         """Lay out parameters, coordinates and channels; ValueError for an arm that is no longer than its radius."""
         super().__init__(config)
-        radius, arm, endstop = (_spread(one) for one in (config.radius_mm, config.arm_mm, config.endstop_mm))
+        radius, arm, endstop = (spread_over_towers(one) for one in (config.radius_mm, config.arm_mm, config.endstop_mm))
         for k, (long, wide) in enumerate(zip(arm, radius, strict=True), start=1):
             if long <= wide:
                 raise ValueError(f"arm_mm: found {long:g} of tower {k}, expected more than its radius, {wide:g}")
@@ -118,6 +118,6 @@ class DeltaMachine(ReadingMachine):
         return found
 
 
-def _spread(value: float | list[float]) -> tuple[float, ...]:
+def spread_over_towers(value: float | list[float]) -> tuple[float, ...]:
     """Return a value of each tower."""
     return tuple(value) if isinstance(value, list) else (value,) * TOWERS

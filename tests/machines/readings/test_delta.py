@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import studies
-from deltas import build_delta, trilaterate
+from deltas import build_delta, build_rotary_delta, trilaterate
 
 from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
 
@@ -21,6 +21,20 @@ def test_carriages_lead_back_to_the_tool(rng):
         top = known["e"] + np.sqrt(known["l"] ** 2 - known["r"] ** 2)
         aside = known["r"] * np.array([np.cos(known["angle"]), np.sin(known["angle"])])
         np.testing.assert_allclose(trilaterate(np.array([*aside, top - read[:3]]).T, known["l"]), point, atol=1e-9)
+        assert read[3] == point[2]
+
+
+def test_elbows_lead_back_to_the_tool(rng):
+    machine = build_rotary_delta()
+    known = {one.symbol: np.array(one.nominal if one.per_leg else one.nominal[0]) for one in machine.parameters}
+    known["o"] = np.array([0.1, -0.2, 0.3])
+    for point in rng.uniform([-80.0, -80.0, 0.0], [80.0, 80.0, 80.0], (20, 3)):
+        read = machine.read(known, point, {})
+        turned = read[:3] + known["o"]
+        out, up = known["r"] + known["L"] * np.cos(turned), known["h"] + known["L"] * np.sin(turned)
+        assert (out > known["r"]).all()  # elbows outwards
+        elbows = np.stack([out * np.cos(known["angle"]), out * np.sin(known["angle"]), up], axis=-1)
+        np.testing.assert_allclose(trilaterate(elbows, known["l"]), point, atol=1e-9)
         assert read[3] == point[2]
 
 
