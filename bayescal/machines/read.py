@@ -276,10 +276,6 @@ def read_legs(path: Path) -> Legs:
     """Return the mechanism on legs of a TOML file seen by its sensors; InputError names the file."""
     content, text = read_toml(path)
     config = check_section(LegsMachineConfig, content, path, text)
-    if config.places != 1:
-        raise InputError(
-            f"{path}: places: found {config.places} of a machine on legs, expected a machine of one function"
-        )
     file = path.parent / config.mechanism
     mechanism = load_mechanism(file)
 

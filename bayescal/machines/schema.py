@@ -267,3 +267,5 @@ class LegsMachineConfig(MachineFileConfig):
     """CSV file of the matrix K for the deformation `matrix`, in thousandths."""
     tool_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """The tool's centre, platform frame."""
+    places: Literal[1] = 1
+    """One place in a row: only a machine of one function may stand at two [1]."""

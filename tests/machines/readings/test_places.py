@@ -82,7 +82,7 @@ def test_a_place_without_readings_stands_where_the_other_does():
 def test_a_machine_on_legs_is_refused(tmp_path):
     path = tmp_path / "machine.toml"
     path.write_text('places = 2\nkind = "legs"\nname = "legs"\nmechanism = "mechanism.toml"\nmodel = "six_ups"\n')
-    with pytest.raises(InputError, match="places: found 2 of a machine on legs, expected a machine of one function"):
+    with pytest.raises(InputError, match="places: found 2, expected 1"):
         read_reading_model(path)
 
 
