@@ -23,7 +23,7 @@ from bayescal.importers.delta_files import ANGLES, LARGEST_MM, SMALLEST_MM, form
 SAVED = "#*#"
 TOWERS = ("stepper_a", "stepper_b", "stepper_c")
 FULL_STEPS = 200.0
-HEIGHT_UM = 20.0  # noise; how large it is in fact the data tell
+HEIGHT_UM = 28.0  # noise; how large it is in fact the data tell
 SMALLEST_STEP = 1e-6  # mm
 WEIGHT = 0.5  # of all heights against all distances in Klipper's own fit
 SECTION, KEY = re.compile(r"\[\s*([^\]]+?)\s*\]"), re.compile(r"([A-Za-z_][\w]*)\s*[:=]\s*(.*)")
@@ -301,7 +301,8 @@ def _format_study(n_heights: int, n_distances: int, compared: bool) -> str:
   { name = "arms_alike", title = "Arms of one length", fixed = ["angle[3]"], tied = ["l"] },
 """
     else:
-        variants = """  { name = "arms_known", title = "Arms as stated", free = ["r", "e", "angle[1]", "angle[2]"] },
+        free = 'free = ["r", "e", "angle[1]", "angle[2]"], noise_known = true'
+        variants = f"""  {{ name = "arms_known", title = "Arms as stated", {free} }},
 """
     beside = '\n[[reference_values]]\ntitle = "Klipper\'s fit"\nfile = "data/klipper.csv"\n' if compared else ""
     return f"""\

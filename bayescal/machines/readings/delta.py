@@ -9,9 +9,9 @@ endstop, which is thus at height E_i = e_i + sqrt(l_i² - r_i²). At the point p
 below its endstop: steps from the endstop times the travel of one step. These are the parameters of Klipper's
 ``delta_radius``, ``angle``, ``arm_length`` and ``position_endstop`` [Klipper, Delta kinematics].
 
-What heights of a flat bed leave together: radius and arms, for a larger radius with longer arms bends the bed alike;
-angles and the arms' differences. Only distances between points scale the plane; while they are short against the bed
-radius and arms stay a ridge. The directions of x and y are a convention: one angle stays as stated.
+What heights of a flat bed hardly tell apart: radius and arms, for a larger radius with longer arms bends the bed alike;
+angles and the arms' differences. Distances between points separate the latter; radius and arms stay a ridge. The
+directions of x and y are a convention: one angle stays as stated.
 """
 
 from __future__ import annotations

@@ -88,17 +88,21 @@ class TwoPlaces(ReadingMachine):
             self.machine.check_given(poses, self._take(given, place), free)
 
     def complete(self, values: Array) -> Array:
-        """Return readings (P, K) whose rows of one place alone have its commands at the other; see `ReadingMachine`.
+        """Return readings (P, K) whose rows of one place alone have commands at the other; see `ReadingMachine`.
 
-        What nobody read tells nothing of the machine, but the other place has to be somewhere.
+        What nobody read tells nothing of the machine, but the other place has to be somewhere: where the farthest of
+        all rows is, for at the same place the distance has no derivative.
         """
         k, filled = len(self.machine.channels), values.copy()
-        own = np.array([not one.external for one in self.machine.channels])
+        own = np.flatnonzero([not one.external for one in self.machine.channels])
         parts = filled[:, :k], filled[:, k : 2 * k]
+        known = np.concatenate([one[:, own] for one in parts])
+        known = known[np.isfinite(known).all(axis=1)]
         alone = np.isnan(values[:, -1])
         for one, other in (parts, parts[::-1]):
-            rows = alone & np.isnan(other).all(axis=1)
-            other[np.ix_(rows, own)] = one[np.ix_(rows, own)]
+            for row in np.flatnonzero(alone & np.isnan(other).all(axis=1) & (len(known) > 0)):
+                here = np.nan_to_num(one[row, own])
+                other[row, own] = known[np.linalg.norm(known - here, axis=1).argmax()]
         return filled
 
 

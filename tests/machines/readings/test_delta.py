@@ -69,7 +69,7 @@ def test_a_measured_printer_is_calibrated_as_its_firmware_did(call, tmp_path):
 
 
 @pytest.mark.runs
-@pytest.mark.parametrize(("name", "determined"), [("heights", 6), ("distances", 9)])
+@pytest.mark.parametrize(("name", "determined"), [("heights", 5), ("distances", 9)])
 def test_distances_determine_what_heights_do_not(call, tmp_path, name, determined):
     code, said, _ = call("audit", FLSUN / f"audit_{name}.toml", "--out", tmp_path / "out", "--workers", 1)
     assert code == 0

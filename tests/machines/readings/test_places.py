@@ -64,15 +64,15 @@ def test_names_of_a_file_with_two_places(tmp_path):
     assert len(found.select(["motor"])) == 6
 
 
-def test_a_place_without_readings_stands_where_the_other_does():
-    pair = FunctionModel("arm", TwoPlaces(own_arm.Arm(None)))
-    k = len(own_arm.Arm(None).channels)
-    own = np.array([not one.external for one in own_arm.Arm(None).channels])
+def test_a_place_without_readings_stands_where_the_farthest_row_does():
+    arm = own_arm.Arm(None)
+    pair, k = FunctionModel("arm", TwoPlaces(arm)), len(arm.channels)
+    own = np.array([not one.external for one in arm.channels])
     values = np.full((3, 2 * k + 1), np.nan)
-    values[0, :k], values[1, k : 2 * k], values[2, :k], values[2, -1] = 1.0, 2.0, 3.0, 4.0
+    values[0, :k], values[1, k : 2 * k], values[2, :k], values[2, -1] = 1.0, 2.0, 5.0, 4.0
     found = pair.complete(values)
-    assert (found[0, k : 2 * k][own] == 1.0).all()
-    assert (found[1, :k][own] == 2.0).all()
+    assert (found[0, k : 2 * k][own] == 5.0).all()
+    assert (found[1, :k][own] == 5.0).all()
     assert np.isnan(found[:2, np.r_[:k, k : 2 * k]][:, np.tile(~own, 2)]).sum() == 2 * (~own).sum()
     np.testing.assert_array_equal(found[2], values[2])  # a distance leads somewhere: that place has to be read
     some = pair.pick(np.flatnonzero([not one.external for one in pair.channels]))
