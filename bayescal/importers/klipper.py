@@ -38,7 +38,7 @@ class _Entry:
     how: str = ""  # "set aside" in a comment, or "saved" by the firmware
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Settings:
     """Entries of a printer's file by section and key: as people wrote them, and as the firmware saved them."""
 
@@ -47,7 +47,7 @@ class _Settings:
     aside: dict[str, dict[str, _Entry]] = field(default_factory=dict)
     saved: dict[str, dict[str, _Entry]] = field(default_factory=dict)
     lines: dict[str, int] = field(default_factory=dict)  # of sections
-    last: int = 1
+    last: int = 1  # line of the file
 
     def fail(self, line: int, text: str) -> InputError:
         """Return the error of a line."""
@@ -167,7 +167,7 @@ def _read(path: Path, text: str) -> _Settings:
             entries[found[1].lower()] = entry
         elif _is_number(entry.text):  # other comments are text
             entries.setdefault(found[1].lower(), entry)
-    object.__setattr__(settings, "last", line)
+    settings.last = line
     return settings
 
 
