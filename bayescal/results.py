@@ -337,25 +337,29 @@ class VariantResult:
 
         Columns of the table are those of commanded channels, ``s_1_mm``, and of what is given of each row.
         """
+        from bayescal.calibrated.one_place import take_one_place
         from bayescal.calibrated.predict import check_determined, predict_poses
         from bayescal.calibrated.tables import check_found, format_prediction, read_commands
 
-        check_determined(self.machine)
+        machine = take_one_place(self.machine)
+        check_determined(machine)
         path = _keep(commands)
-        names, positions, given = read_commands(path, self.machine)
-        found = predict_poses(self.machine, positions, given)
+        names, positions, given = read_commands(path, machine)
+        found = predict_poses(machine, positions, given)
         check_found(path, names, found)
-        return _read(format_prediction(self.machine, names, found, given))
+        return _read(format_prediction(machine, names, found, given))
 
     def compensate(self, poses: Table) -> pd.DataFrame:
         """Return the commands that hold poses, or the tool (columns ``tool_x_mm``), with their uncertainty."""
+        from bayescal.calibrated.one_place import take_one_place
         from bayescal.calibrated.predict import compensate_poses
         from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
-        wanted = read_commanded(_keep(poses), self.machine)
-        found = compensate_poses(self.machine, wanted.poses, wanted.given, wanted.coordinates)
+        machine = take_one_place(self.machine)
+        wanted = read_commanded(_keep(poses), machine)
+        found = compensate_poses(machine, wanted.poses, wanted.given, wanted.coordinates)
         check_reached(wanted, found)
-        return _read(format_command(self.machine, wanted.names, found, wanted.given))
+        return _read(format_command(machine, wanted.names, found, wanted.given))
 
     def tool_accuracy(self, coverage: float = 0.95, poses: int = 512) -> pd.DataFrame:
         """Return how well the tool's numbers are known over the workspace, rms over its poses, and at the worst.

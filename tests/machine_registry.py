@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import own_arm
 import studies
+from deltas import build_delta, build_rotary_delta
 from function_machines import point_on_lines
 from sliding_platforms import build, make_content, sliding_star, star_of
 
@@ -23,6 +24,7 @@ from bayescal.machines.readings.placed import (
     PoseConfig,
     PoseInstrument,
 )
+from bayescal.machines.readings.places import TwoPlaces
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 
 LEGS = {
@@ -66,6 +68,9 @@ class TurningArm(own_arm.Arm):
 
 LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
+    "delta printer at two places": lambda: read("experiments/flsun_v400/machine.toml"),
+    "rotary delta": lambda: FunctionModel("rotary", build_rotary_delta()),
+    "towers apart": lambda: FunctionModel("towers", build_delta()),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
     "three_rps": lambda: read("benchmarks/three_rps/solved.toml"),
     "arm": lambda: FunctionModel("arm", own_arm.Arm(None)),
@@ -78,6 +83,7 @@ TURNING = {
     "m2 struts": lambda: read("experiments/m2_hexapod_table/machine.toml"),
     "sliding platform": sliding_star,
     "turning arm": lambda: FunctionModel("arm", TurningArm(None)),
+    "turning arm at two places": lambda: FunctionModel("arm", TwoPlaces(TurningArm(None))),
 }
 ALONE = {
     "base legs": lambda: build_legs("base"),

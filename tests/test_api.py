@@ -238,7 +238,7 @@ def test_a_class_of_a_script_is_taken_with_what_it_uses(tmp_path):
 
 @pytest.mark.runs
 def test_the_notebook_runs_in_few_lines_and_agrees_with_the_firmware(tmp_path, monkeypatch):
-    shutil.copytree(ROOT / "examples" / "flsun_v400", tmp_path / "flsun_v400")
+    shutil.copytree(ROOT / "experiments" / "flsun_v400", tmp_path / "flsun_v400")
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "tutorials" / "delta_printer.md").read_text()
     cells = re.findall(r"```\{code-cell\}\n(.*?)```", page, re.DOTALL)

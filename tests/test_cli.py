@@ -357,6 +357,7 @@ def test_shipped_study_runs_tiny(call, tmp_path, quick, search_little, name, n_v
     assert all(variant.name in out for variant in config.variants)
 
 
+FLSUN = ("machine", "study", "audit_heights", "audit_distances")
 SLIDING_STAR = ("machine", "m2_hexapod_machine", "m2_hexapod_sensors", "sensors", "simulate", "study")
 
 
@@ -374,6 +375,7 @@ def test_every_shipped_experiment_is_run_here():
         "sika2008/calibrations.toml",  # in test_self_calibrations
         *(f"sliding_star/{name}.toml" for name in SLIDING_STAR),  # in calibration/test_sliding_star.py
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
+        *(f"flsun_v400/{name}.toml" for name in FLSUN),  # in machines/readings/test_delta.py
         *(f"mmt_mount/{name}.toml" for name in ("machine", "study")),  # in machines/readings/test_mount.py
         *(
             f"m2_hexapod_table/{name}.toml" for name in ("machine", "simulate", "study", "table")

@@ -11,6 +11,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bayescal.calibrated import printer_formats
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
 from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
 from bayescal.config.load import look_up
@@ -266,6 +267,7 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "csv": list_csv_files,
     "urdf": list_urdf_files,
     "genhexkins": list_genhexkins_files,
+    **printer_formats.FORMATS,
 }
 
 
@@ -278,8 +280,8 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
-        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins; by default that which
-        `load_calibrated` takes again.
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, klipper, marlin, reprapfirmware; by
+        default that which `load_calibrated` takes again.
 
     Raises
     ------

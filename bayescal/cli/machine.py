@@ -67,19 +67,24 @@ def export(
     options: MachineOptions,
     name: Annotated[
         str | None,
-        typer.Option("--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins."),
+        typer.Option("--format", help="mechanism, parameters, toml, json, csv, urdf, genhexkins, klipper ..."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
     from bayescal.calibrated.formats import export_machine
+    from bayescal.calibrated.printer_formats import FORMATS as FIRMWARES
+    from bayescal.calibrated.printer_formats import describe_carried
     from bayescal.files.atomic import check_writable
 
     calibrated = options.load(results)
     where = out or Path("machines") / calibrated.source.stem
     check_writable(where)
-    for path in export_machine(calibrated, where, name):
+    written = export_machine(calibrated, where, name)
+    for path in written:
         echo(f"wrote {path}")
+    for line in describe_carried(written) if name in FIRMWARES else ():
+        echo(line)
     _tell_missing(results, calibrated)
 
 
@@ -93,10 +98,11 @@ def compensate(
     allow_unreachable: Annotated[bool, typer.Option("--allow-unreachable", help="Mark unreachable poses.")] = False,
 ) -> None:
     """Compute the corrected actuator positions that hold wanted poses, and their uncertainty."""
+    from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import compensate_poses
     from bayescal.calibrated.tables import check_reached, format_command, read_commanded
 
-    calibrated = options.load(results)
+    calibrated = take_one_place(options.load(results))
     check_out(out)
     commanded = read_commanded(poses, calibrated)
     _check_many(len(commanded.names), 1, calibrated)
@@ -120,10 +126,11 @@ def predict(
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
     from bayescal.calibrated.drawn_machines import draw_poses
+    from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import check_determined, predict_poses
     from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
 
-    calibrated = options.load(results)
+    calibrated = take_one_place(options.load(results))
     check_out(out)
     check_out(draws_out)
     check_determined(calibrated)
@@ -431,10 +438,10 @@ def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: Calibra
 def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
     from bayescal.density.calibration.measurements import Measurements
     from bayescal.experiments.shared.readings.data_schema import ReadingsDataConfig
-    from bayescal.experiments.shared.readings.reading_tables import read_tables
+    from bayescal.experiments.shared.readings.reading_tables import complete_readings, read_tables
 
-    section = ReadingsDataConfig.model_construct(file=path.name)
-    found = read_tables([section], path.parent, calibrated.model.channels, calibrated.model.given)
+    section, model = ReadingsDataConfig.model_construct(file=path.name), calibrated.model
+    found = complete_readings(read_tables([section], path.parent, model.channels, model.given), model)
     return Measurements(found.poses, found.values, found.sd, found.given, found.correlation)
 
 

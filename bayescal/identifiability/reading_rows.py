@@ -234,4 +234,5 @@ def see(posterior: CalibrationPosterior, y: Array) -> Array:
     theta = posterior.theta(y[None])[0]
     change = replace(posterior, likelihood=posterior.likelihood.plain).sampling.jacobian(theta)
     _, slope, by_parameters = posterior.likelihood.rows(theta, change, white, stand.pose)
-    return np.asarray(by_parameters - slope @ (np.linalg.pinv(slope) @ by_parameters))
+    inverse = np.linalg.pinv(np.nan_to_num(slope))  # rows stay NaN where the machine cannot stand
+    return np.asarray(by_parameters - slope @ (inverse @ by_parameters))

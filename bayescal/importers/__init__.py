@@ -14,7 +14,10 @@ from typing import Final, Protocol, cast
 
 from bayescal.errors import InputError
 
-FORMATS: Final[Mapping[str, str]] = {}
+FORMATS: Final[Mapping[str, str]] = {
+    "klipper": "Klipper's printer.cfg of a linear delta",
+    "marlin": "M665 and M666 of a linear delta in Marlin or RepRapFirmware",
+}
 """What each format is, in words, by the name of its module."""
 
 

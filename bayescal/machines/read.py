@@ -19,6 +19,7 @@ from bayescal.machines.mechanism import BeamSection, ExternalLoad, Flexures, Mec
 from bayescal.machines.models import KinematicModel
 from bayescal.machines.parameters import HomeStart
 from bayescal.machines.readings import FunctionModel, Legs, ReadingMachine, ReadingModel
+from bayescal.machines.readings.places import TwoPlaces
 from bayescal.machines.schema import (
     BeamSectionConfig,
     HomeConfig,
@@ -232,7 +233,10 @@ def read_reading_model(path: Path) -> ReadingModel:
     with name_faults(path):
         with name_failures(found, "kind"):
             machine = found(getattr(config, "machine", config))
-        return FunctionModel(config.name, machine)
+        if config.places == 1:
+            return FunctionModel(config.name, machine)
+        FunctionModel(config.name, machine)  # checked by its own name before it is doubled
+        return FunctionModel(config.name, TwoPlaces(machine))
 
 
 def _check_file(found: type[ReadingMachine], content: dict[str, Any], path: Path, text: str) -> Any:

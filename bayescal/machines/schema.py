@@ -231,6 +231,10 @@ class MachineFileConfig(Section):
     """What pages call the machine; its name where nothing is said."""
     source: str = ""
     """Where the dimensions come from."""
+    places: Literal[1, 2] = 1
+    """In a row of the data the machine stands at one place, or at `2`: then channels are `s[1a]` and `s[1b]`,
+    `height[a]` and `height[b]`, and `distance` from tool to tool [1].
+    """
 
 
 class SlidingPlatformConfig(MachineFileConfig):
@@ -263,3 +267,5 @@ class LegsMachineConfig(MachineFileConfig):
     """CSV file of the matrix K for the deformation `matrix`, in thousandths."""
     tool_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """The tool's centre, platform frame."""
+    places: Literal[1] = 1
+    """One place in a row: only a machine of one function may stand at two [1]."""

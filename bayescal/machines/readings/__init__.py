@@ -8,7 +8,9 @@ from bayescal.machines.readings.tracker import Tracker
 
 MACHINES = {
     "arm": "bayescal.machines.readings.arm:Arm",
+    "delta": "bayescal.machines.readings.delta:DeltaMachine",
     "mount": "bayescal.machines.readings.mount:Mount",
+    "rotary_delta": "bayescal.machines.readings.rotary_delta:RotaryDelta",
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
     "sliding_platform": "bayescal.machines.readings.sliding_platform:SlidingPlatform",
     "strut_machine": "bayescal.machines.readings.strut_machine:StrutMachine",

@@ -416,6 +416,10 @@ class ReadingModel(ABC):
         """
         del poses, given, free
 
+    def complete(self, values: Array) -> Array:
+        """Return readings (P, K), NaN where nothing was read, with those that anyone may state; by default none."""
+        return values
+
     def seen_parameters(self, channels: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the parameters that some sensors were found to depend on, in the layout's order."""
         seen = self._seen[self.select(channels)].any(axis=0)

@@ -295,6 +295,10 @@ class ReadingMachine(ABC):
         """Raise InputError for data that cannot be; see `ReadingModel.check_given`. By default nothing is checked."""
         del poses, given, free
 
+    def complete(self, values: Array) -> Array:
+        """Return readings (P, K), NaN where nothing was read, with those that anyone may state; by default none."""
+        return values
+
     def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
         """Return what has to be accurate, (..., m), as `tool_channels` names it: the coordinates by default.
 
@@ -460,6 +464,14 @@ class FunctionModel(ReadingModel):
         return super().rotation(pose) if turned is None else np.asarray(turned)
 
     # --- readings ------------------------------------------------------------------------------------------------
+
+    def complete(self, values: Array) -> Array:
+        """Return what the machine says; see `ReadingMachine.complete`."""
+        if self.places is None:
+            return self.machine.complete(values)
+        every = np.full((len(values), len(self.sensors)), np.nan)
+        every[:, self.places] = values
+        return self.take(self.machine.complete(every))
 
     def evaluate(self, theta: np.ndarray, pose: np.ndarray, given: Given) -> np.ndarray:
         """Return the function's values, real or complex, for (..., D) and (..., q)."""

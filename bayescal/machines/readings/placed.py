@@ -364,6 +364,11 @@ class InstrumentedMachine(ReadingModel):
         """Return the same with its machine near its readings; see `ReadingModel.near`."""
         return replace(self, whole=self.whole.near(values[:, : len(self.whole.channels)]))
 
+    def complete(self, values: Array) -> Array:
+        """Return readings with those of the machine that anyone may state; see `ReadingModel.complete`."""
+        n = len(self.whole.channels)
+        return np.concatenate([self.whole.complete(values[:, :n]), values[:, n:]], axis=1)
+
     def bind(self, theta: Array, values: Array, pose: Array, given: Given = NO_CONDITIONS) -> BoundReadings | None:
         """Return the readings bound to poses; see `ReadingModel.bind`.
 

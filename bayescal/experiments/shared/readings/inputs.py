@@ -32,7 +32,12 @@ from bayescal.experiments.shared.readings.measurement import Measured, leave_pos
 from bayescal.experiments.shared.readings.noise import build_noise, stated_noise
 from bayescal.experiments.shared.readings.pads import SeenPads, look_at_pads
 from bayescal.experiments.shared.readings.priors import check_optional, choose_priors, widen
-from bayescal.experiments.shared.readings.reading_tables import PoseReadings, join_readings, read_tables
+from bayescal.experiments.shared.readings.reading_tables import (
+    PoseReadings,
+    complete_readings,
+    join_readings,
+    read_tables,
+)
 from bayescal.experiments.shared.readings.reference_values import ReferenceValues, read_beside
 from bayescal.experiments.shared.readings.workspace import Workspace, build_workspace, find_region, find_starts
 from bayescal.experiments.shared.requirements import is_aligned, read_requirements
@@ -178,7 +183,7 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
     given = list(dict.fromkeys(name for one in models.values() for name in one.given))
     blocks = [read_tables(read, folder, model.channels, given, alone=not measured)] if read else []
     blocks += [it.spread(model) for it in measured]
-    readings = join_readings(blocks, model, folder / config.data[0].file)
+    readings = complete_readings(join_readings(blocks, model, folder / config.data[0].file), model)
     deviations = stated_noise(config.sensors, readings, model)
     found = find_frames(config, next(iter(bare.values())), instruments, readings, deviations, symbols)
     if found.wide:

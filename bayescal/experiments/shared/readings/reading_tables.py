@@ -9,6 +9,7 @@ and what else is known of each row, by its name.
 from __future__ import annotations
 
 import difflib
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -98,6 +99,21 @@ def _make_empty(poses: Sequence[str], k: int, is_correlated: bool, given: Sequen
         np.zeros((n, k), dtype=bool),
         {name: np.full(n, np.nan) for name in given},
     )
+
+
+def complete_readings(found: PoseReadings, model: ReadingModel) -> PoseReadings:
+    """Return the same with the readings that anyone may state of a machine; see `ReadingModel.complete`.
+
+    Where rows state their noise it is that of a usual row.
+    """
+    values = model.complete(found.values)
+    stated = np.isnan(found.values) & np.isfinite(values)
+    if not stated.any():
+        return found
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of columns without any
+        usual = np.nanmedian(found.sd, axis=0)
+    return replace(found, values=values, sd=np.where(stated & np.isnan(found.sd), usual, found.sd))
 
 
 def join_readings(blocks: Sequence[PoseReadings], model: ReadingModel, path: Path) -> PoseReadings:

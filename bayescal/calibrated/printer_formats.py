@@ -1,0 +1,225 @@
+"""Files of printers' firmware: what Klipper, Marlin and RepRapFirmware hold of a calibrated delta or cable robot.
+
+A firmware's parameters are fewer than a machine's, or others. Each file says, beside its numbers, how far the tool of
+the calibrated machine is from nominal, rms over the workspace with the same commands, and how far from what the file
+says: the difference is what the file carries.
+
+With towers at directions α, arms l, radius r and the tool at height e where a carriage is at its endstop:
+
+- Klipper has all of them; r is one for all towers.
+- Marlin (M665, M666): e = H - M666 with M666 never positive, l = L + A, B or C, α = 210, 330 or 90 degrees + X, Y or Z.
+- RepRapFirmware (M665, M666): e = H + M666, l = L of each tower, α as Marlin. Of a Hangprinter (M669, M666) anchors,
+  radii of spools at the origin and build-up; lines that stretch it does not have here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import qmc
+
+from bayescal.calibrated.machine import CalibratedMachine
+from bayescal.errors import InputError
+from bayescal.limits import FAR_AWAY
+from bayescal.machines.readings import FunctionModel, ReadingMachine
+from bayescal.machines.readings.delta import TOWERS, DeltaMachine
+from bayescal.machines.readings.line_machine import LineMachine
+from bayescal.machines.readings.places import TwoPlaces
+from bayescal.numerics.geometry import Array
+
+KLIPPER, MARLIN, REPRAP = "klipper", "marlin", "reprapfirmware"
+DIRECTIONS = np.array([210.0, 330.0, 90.0])
+SAMPLES = 256  # poses of the workspace
+LINES = "ABCD"
+DIGITS = 9  # behind the point, mm and degrees
+NOTHING_MM = 1e-6
+CARRIES = "carries"
+
+
+@dataclass(frozen=True, eq=False)
+class _Printer:
+    """A machine of one place without instruments, and its parameters (D,) as calibrated."""
+
+    model: FunctionModel
+    theta: Array
+    given: Mapping[str, Array]
+
+    def take(self, symbol: str) -> Array:
+        """Return a symbol's values, (n,)."""
+        return self.theta[self.model.layout.index[symbol]]
+
+    def change(self, **values: float | Array) -> Array:
+        """Return the parameters with other values of some symbols."""
+        changed = self.theta.copy()
+        for symbol, value in values.items():
+            changed[self.model.layout.index[symbol]] = value
+        return changed
+
+    def sample(self) -> tuple[Array, Array, Mapping[str, Array]]:
+        """Return poses (P, q) all over the workspace, commands (P, C) that lead there, and what is given (P,)."""
+        home, model = self.model.home_pose, self.model
+        pose = home + model.pose_scale * qmc.scale(qmc.Sobol(len(home), rng=1).random(SAMPLES), -1.0, 1.0)
+        given = {name: np.resize(value, SAMPLES) for name, value in self.given.items()}
+        return pose, model.read(self.theta, pose, given)[:, model.select(model.commanded)], given
+
+    def measure(self, other: Array) -> float:
+        """Return how far the tool is from that of other parameters at the same commands, mm rms over the workspace."""
+        model, (pose, commands, given) = self.model, self.sample()
+        there, found = model.locate(other, np.nan_to_num(commands), given)
+        apart = model.tool_values(self.theta, pose) - model.tool_values(other, there)
+        apart = apart[found & np.isfinite(commands).all(axis=1)]
+        return float(np.sqrt((apart**2).sum(axis=1).mean())) if len(apart) else float("nan")
+
+    def describe(self, held: Array, file: str = "The file") -> str:
+        """Return in words what a file that holds some parameters carries."""
+        whole, left = self.measure(self.model.layout.nominal), self.measure(held)
+        carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} mm"
+        said = f"{carried} by which the tool is off nominal, rms over the workspace"
+        return said if left < NOTHING_MM else f"{said}; {left:.2g} mm are left"
+
+
+def _take_printer(calibrated: CalibratedMachine, what: str, kinds: Mapping[str, type[ReadingMachine]]) -> _Printer:
+    """Return a calibrated machine of one of some kinds; InputError for another."""
+    model = calibrated.model.bare
+    machine: object = model.machine if isinstance(model, FunctionModel) else None
+    machine = machine.machine if isinstance(machine, TwoPlaces) else machine
+    if not isinstance(machine, ReadingMachine) or not isinstance(machine, tuple(kinds.values())):
+        expected = " or ".join(f'kind = "{name}"' for name in kinds)
+        raise InputError(f"format {what}: found machine {calibrated.name!r}, expected {expected}")
+    one = FunctionModel(calibrated.name, machine)
+    given = {name: calibrated.given[name] for name in one.given if name in calibrated.given}
+    return _Printer(one, calibrated.theta[: one.layout.size], given)
+
+
+# --- deltas ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Towers:
+    """A delta with one radius: mm, degrees, (3,) of each tower."""
+
+    radius: float
+    arms: Array
+    endstops: Array
+    angles: Array
+    held: Array  # the same in the layout of its machine
+
+
+def _read_towers(printer: _Printer) -> _Towers:
+    """Return a delta's towers; those of one radius that fit best where the calibrated ones have several."""
+    held = printer.theta if len(printer.take("r")) == 1 else _fit_radius(printer)
+    one = _Printer(printer.model, held, printer.given)
+    towers = (one.take("l"), one.take("e"), np.degrees(one.take("angle")))
+    return _Towers(float(one.take("r")[0]), *towers, held)
+
+
+def _fit_radius(printer: _Printer) -> Array:
+    """Return parameters of one radius whose tool is nearest to the calibrated one at the same commands."""
+    model, (pose, commands, _) = printer.model, printer.sample()
+    pose, commands = (one[np.isfinite(commands).all(axis=1)] for one in (pose, commands))
+    by_command = np.linalg.inv(model.linearise(printer.theta, pose, False).by_pose[:, :TOWERS])
+    symbols = ("angle", "l", "e")
+
+    def unpack(x: Array) -> Array:
+        return printer.change(r=x[0], **dict(zip(symbols, x[1:].reshape(-1, TOWERS), strict=True)))
+
+    def leave(x: Array) -> Array:
+        apart = np.nan_to_num(model.read(unpack(x), pose)[:, :TOWERS] - commands, nan=FAR_AWAY)
+        return (by_command @ apart[..., None]).ravel()
+
+    start = np.concatenate([[printer.take("r").mean()], *(printer.take(symbol) for symbol in symbols)])
+    return unpack(least_squares(leave, start, x_scale=np.array([1.0] + [0.01] * TOWERS + [1.0] * 2 * TOWERS)).x)
+
+
+def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[_Printer, _Towers]:
+    printer = _take_printer(calibrated, what, {"delta": DeltaMachine})
+    return printer, _read_towers(printer)
+
+
+def _write(values: Sequence[float] | Array) -> list[str]:
+    """Return numbers to a picometre."""
+    return [repr(round(float(one), DIGITS) + 0.0) for one in values]
+
+
+def _list_words(letters: str, values: Sequence[float] | Array) -> str:
+    return " ".join(f"{letter}{text}" for letter, text in zip(letters, _write(values), strict=True))
+
+
+def list_klipper_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``printer.cfg``: the sections of a delta's geometry, for the file that has all others."""
+    printer, towers = _take_delta(calibrated, KLIPPER)
+    lines = [f"# {one}" for one in (*calibrated.source.describe(), printer.describe(towers.held))]
+    lines += ["[printer]", "kinematics: delta", f"delta_radius: {_write([towers.radius])[0]}"]
+    rows = zip("abc", *(_write(one) for one in (towers.arms, towers.angles, towers.endstops)), strict=True)
+    for tower, arm, angle, endstop in rows:
+        lines += ["", f"[stepper_{tower}]", f"arm_length: {arm}", f"angle: {angle}", f"position_endstop: {endstop}"]
+    return {"printer.cfg": ("\n".join(lines) + "\n").encode()}
+
+
+def list_marlin_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``marlin.gcode``: M665 and M666 of a delta; M500 stores them."""
+    printer, towers = _take_delta(calibrated, MARLIN)
+    height, arm = float(towers.endstops.min()), float(towers.arms.mean())
+    said = [*calibrated.source.describe(), printer.describe(towers.held)]
+    if np.ptp(towers.arms) > 0.0:
+        alike = printer.change(r=towers.radius, e=towers.endstops, l=arm)
+        said.append(printer.describe(alike, "To a firmware that does not know A, B and C of M665 the file"))
+    lines = [f"; {one}" for one in said]
+    lines.append(f"M665 {_list_words('LRH', (arm, towers.radius, height))} {_list_turns(towers)}")
+    lines[-1] += f" {_list_words('ABC', towers.arms - arm)}"
+    lines.append(f"M666 {_list_words('XYZ', height - towers.endstops)}")
+    return {"marlin.gcode": ("\n".join([*lines, "M500 ; store"]) + "\n").encode()}
+
+
+def _list_turns(towers: _Towers) -> str:
+    """Return by what directions differ from those that firmwares take."""
+    return _list_words("XYZ", (towers.angles - DIRECTIONS + 180.0) % 360.0 - 180.0)
+
+
+def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``config.g``: M665 and M666 of a delta, M669 and M666 of a machine on four lines."""
+    printer = _take_printer(calibrated, REPRAP, {"delta": DeltaMachine, "line_machine": LineMachine})
+    if isinstance(printer.model.machine, LineMachine):
+        held, lines = _list_hangprinter(printer, printer.model.machine)
+    else:
+        towers = _read_towers(printer)
+        held, height = towers.held, float(towers.endstops.mean())
+        arms = ":".join(_write(towers.arms))
+        lines = [
+            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers)}",
+            f"M666 {_list_words('XYZ', towers.endstops - height)} A0.0 B0.0",
+        ]
+    said = [f"; {one}" for one in (*calibrated.source.describe(), printer.describe(held))]
+    return {"config.g": ("\n".join([*said, *lines]) + "\n").encode()}
+
+
+# --- machines on lines -----------------------------------------------------------------------------------------------
+
+
+def _list_hangprinter(printer: _Printer, machine: LineMachine) -> tuple[Array, list[str]]:
+    """Return the parameters that commands of a Hangprinter hold, and these."""
+    if len(machine.parallel) != len(LINES):
+        raise InputError(f"format {REPRAP}: found {len(machine.parallel)} lines, expected {len(LINES)}")
+    anchors = np.stack([printer.take(f"A_{axis}") for axis in "xyz"], axis=-1)
+    places = " ".join(f"{line}{':'.join(_write(at))}" for line, at in zip(LINES, anchors, strict=True))
+    parallel = ":".join(f"{int(one)}" for one in machine.parallel)
+    return printer.change(c=0.0), [
+        f"; Gear {machine.gear!r}: L and H of M666, teeth of motor and spool, stay as they are.",
+        f"M669 K6 {places}",
+        f"M666 Q{_write(printer.take('Q'))[0]} R{':'.join(_write(printer.take('R')))} U{parallel} O1:1:1:1",
+    ]
+
+
+FORMATS = {KLIPPER: list_klipper_files, MARLIN: list_marlin_files, REPRAP: list_reprapfirmware_files}
+"""Files of a calibrated printer by the name of its firmware; InputError for a machine that it does not drive."""
+
+
+def describe_carried(paths: Iterable[Path]) -> list[str]:
+    """Return what written files of a firmware say of how much they carry."""
+    files = [path for path in paths if path.suffix in (".cfg", ".gcode", ".g")]
+    lines = [line for path in files for line in path.read_text(encoding="utf-8").splitlines()]
+    return [line.lstrip("#; ") for line in lines if line.startswith(("#", ";")) and f" file {CARRIES} " in line]

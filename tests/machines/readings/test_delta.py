@@ -1,0 +1,76 @@
+"""A linear delta: carriages against trilateration, what is refused, a measured printer against its firmware's fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+import studies
+from deltas import build_delta, build_rotary_delta, trilaterate
+
+from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
+
+FLSUN = studies.EXPERIMENTS / "flsun_v400"
+
+
+def test_carriages_lead_back_to_the_tool(rng):
+    machine = build_delta()
+    known = {one.symbol: np.array(one.nominal) for one in machine.parameters}
+    for point in rng.uniform([-60.0, -60.0, 0.0], [60.0, 60.0, 150.0], (20, 3)):
+        read = machine.read(known, point, {})
+        top = known["e"] + np.sqrt(known["l"] ** 2 - known["r"] ** 2)
+        aside = known["r"] * np.array([np.cos(known["angle"]), np.sin(known["angle"])])
+        np.testing.assert_allclose(trilaterate(np.array([*aside, top - read[:3]]).T, known["l"]), point, atol=1e-9)
+        assert read[3] == point[2]
+
+
+def test_elbows_lead_back_to_the_tool(rng):
+    machine = build_rotary_delta()
+    known = {one.symbol: np.array(one.nominal if one.per_leg else one.nominal[0]) for one in machine.parameters}
+    known["o"] = np.array([0.1, -0.2, 0.3])
+    for point in rng.uniform([-80.0, -80.0, 0.0], [80.0, 80.0, 80.0], (20, 3)):
+        read = machine.read(known, point, {})
+        turned = read[:3] + known["o"]
+        out, up = known["r"] + known["L"] * np.cos(turned), known["h"] + known["L"] * np.sin(turned)
+        assert (out > known["r"]).all()  # elbows outwards
+        elbows = np.stack([out * np.cos(known["angle"]), out * np.sin(known["angle"]), up], axis=-1)
+        np.testing.assert_allclose(trilaterate(elbows, known["l"]), point, atol=1e-9)
+        assert read[3] == point[2]
+
+
+def test_an_arm_within_its_radius_is_refused():
+    with pytest.raises(ValueError, match="arm_mm: found 100 of tower 2, expected more than its radius, 150"):
+        DeltaMachine(
+            DeltaMachineConfig(
+                radius_mm=150.0,
+                arm_mm=[200.0, 100.0, 200.0],
+                endstop_mm=300.0,
+                workspace_radius_mm=100.0,
+                workspace_height_mm=50.0,
+            )
+        )
+
+
+@pytest.mark.runs
+def test_a_measured_printer_is_calibrated_as_its_firmware_did(call, tmp_path):
+    code, _, _ = call("run", FLSUN / "study.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert code == 0
+    tables = tmp_path / "out" / "tables"
+    assert pd.read_csv(tables / "variants.csv")["converged"].all()
+    beside = pd.read_csv(tables / "reference_values.csv").query("variant == 'arms_differ'").set_index("quantity")
+    assert len(beside) == 9
+    assert (np.abs(beside["mean"] - beside["value"]) < 0.1 * beside["sd"]).all()
+    assert beside.loc["r", "mean"] == pytest.approx(162.76, abs=0.05)
+    assert beside.loc["r", "sd"] == pytest.approx(0.19, abs=0.03)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "r with l[1,2,3] (+0.99)" in page  # the ridge of radius and arms, in words
+    assert len(pd.read_csv(tables / "variants.csv")) == 3
+    assert sum(len((FLSUN / one).read_text().splitlines()) for one in ("machine.toml", "study.toml")) <= 60
+
+
+@pytest.mark.runs
+@pytest.mark.parametrize(("name", "determined"), [("heights", 5), ("distances", 9)])
+def test_distances_determine_what_heights_do_not(call, tmp_path, name, determined):
+    code, said, _ = call("audit", FLSUN / f"audit_{name}.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert code == 0
+    assert f"determine {determined} of 9 parameters" in " ".join(said.split())
