@@ -120,8 +120,6 @@ class FixedCovarianceRows:
         m = n - len(likelihood.model.coordinates)
         if errors.has_columns == single or errors.is_common_known or errors.outliers.expected or m < 1:
             return None
-        if single and not data.present.all():
-            return None
         if not is_few and not single and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
             return None
         acts = [] if is_few or single else errors.list_acts(data, likelihood.error_gain)
@@ -134,13 +132,14 @@ class FixedCovarianceRows:
         size = np.linalg.norm(slope, axis=1, keepdims=True)
         axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
         left = np.ascontiguousarray(axes[..., slope.shape[-1] :])
-        if is_few or single:
+        if single or is_few:  # what no channel shows stays: white by itself, it adds nothing
+            left = left if data.present.all() else turn_to_present(left, data.present)[0]
             found = cls(theta, white, left, np.arange(n_poses * m), ())
             return found if single else replace(found, few=found._find_few(likelihood, errors, thin))
         kept = np.arange(n_poses * m)
-        if not (whole or data.present.all()):
-            left, shows = _turn_to_present(left, data.present)
-            kept = np.flatnonzero(shows)
+        if not data.present.all():
+            left, shows = turn_to_present(left, data.present)
+            kept = kept if whole else np.flatnonzero(shows)
         if len(kept) > MOST_ROWS:
             return None
         turned = np.swapaxes(left, -1, -2)
@@ -471,11 +470,12 @@ class FixedCovarianceRows:
         spread = tau[..., None, :] * (np.eye(there.shape[1]) if gain is None else gain)
         covariance = covariance + spread @ np.swapaxes(spread, -1, -2)
         white = self.white.rows(np.swapaxes(self.white.rows(covariance), -1, -2))
-        missing = np.eye(there.shape[1]) * ~there[:, None, :]
-        return np.asarray(np.swapaxes(self.left, -1, -2) @ (white + missing) @ self.left)
+        both = there[:, :, None] & there[:, None, :]
+        white = np.where(both, white, np.eye(there.shape[1]))  # of what was not read nothing is known
+        return np.asarray(np.swapaxes(self.left, -1, -2) @ white @ self.left)
 
 
-def _turn_to_present(left: Array, present: np.ndarray) -> tuple[Array, np.ndarray]:
+def turn_to_present(left: Array, present: np.ndarray) -> tuple[Array, np.ndarray]:
     """Return the span of Z (P, K, m) by columns of channels that were read, (P, K), or not, and which were, (P, m)."""
     missing = np.where(present[..., None], 0.0, left)
     share, axes = np.linalg.eigh(np.swapaxes(missing, -1, -2) @ missing)

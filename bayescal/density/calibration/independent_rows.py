@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayescal.density.calibration.fixed_covariance import turn_to_present
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.calibration.poses import PoseEstimate
 from bayescal.density.calibration.terms import ErrorModel
@@ -117,11 +118,11 @@ class IndependentRowsLikelihood:
         """
         data, near = likelihood.data, likelihood.expansion
         n, q = data.sd.shape[1], len(likelihood.model.coordinates)
-        if not q or n <= q or not data.present.all() or near is None or near.bends is None:
+        if not q or n <= q or near is None or near.bends is None:
             return None
         if errors.has_columns and not errors.is_common_known:
             return None
-        if errors.has_factors:
+        if errors.has_factors or not data.present.all():
             errors = errors.without(errors.noisy)
         bound = likelihood.model.bind(theta, data.values, likelihood.start, data.given)
         if bound is None or (isinstance(bound, BoundModel) and not turns):
@@ -131,9 +132,11 @@ class IndependentRowsLikelihood:
         slope = at.slope[0]
         if not (np.isfinite(slope).all() and np.isfinite(at.error).all()):
             return None
-        axes, _ = np.linalg.qr(slope / np.linalg.norm(slope, axis=1, keepdims=True), mode="complete")
+        size = np.linalg.norm(slope, axis=1, keepdims=True)
+        axes, _ = np.linalg.qr(slope / np.where(size > 0.0, size, 1.0), mode="complete")
+        spare = axes[..., q:] if data.present.all() else turn_to_present(axes[..., q:], data.present)[0]
         whitening = white.rows(np.broadcast_to(np.eye(n), (1, data.n_poses, n, n)))[0]
-        left = np.swapaxes(axes[..., q:], -1, -2) @ whitening
+        left = np.swapaxes(spare, -1, -2) @ whitening
         channels = np.flatnonzero(~errors.is_known(n)) if errors.noisy else np.arange(n - q)
         gain = np.eye(n)[None] if likelihood.error_gain is None else likelihood.error_gain
         seen = left @ gain[..., channels] if errors.noisy else np.tile(np.eye(n - q), (data.n_poses, 1, 1))
@@ -153,7 +156,7 @@ class IndependentRowsLikelihood:
         return cls(
             bound,
             Comparison(tuple(likelihood.model.channels[k] for k in own)),
-            np.ascontiguousarray(data.values[:, own].T[..., None]),
+            np.ascontiguousarray(np.where(data.present, data.values, np.nan)[:, own].T[..., None]),
             theta,
             turn[..., own],
             follow[..., own],
@@ -323,10 +326,15 @@ class IndependentRowsLikelihood:
 
 
 def compare(comparison: Comparison, values: Array, read: Array) -> Array:
-    """Return measured values (C, P, 1) minus what is read, (C, P, B)."""
+    """Return measured values (C, P, 1) minus what is read, (C, P, B); zero where nothing was measured."""
     if comparison.is_plain:
-        return np.asarray(values - read)
-    return comparison.subtract(values.T, read.transpose(2, 1, 0)).transpose(2, 1, 0)
+        error = values - read
+    else:
+        error = comparison.subtract(values.T, read.transpose(2, 1, 0)).transpose(2, 1, 0)
+    missing = np.isnan(values[..., 0])
+    if missing.any():
+        error[missing] = 0.0
+    return np.asarray(error)
 
 
 @dataclass(frozen=True, eq=False)

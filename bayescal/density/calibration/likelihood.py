@@ -434,7 +434,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         # where slopes turn with the machine chords lead nowhere, and poses cost derivatives
         turns = bool(np.mean(found.expansion.measure(every) <= found.expansion.limit) < MOST_TURNED)
         lone = IndependentRowsLikelihood.build(found, single, theta, turns=turns)
-        if frozen is None and lone is not None and errors.has_factors:
+        whole = self.data.present.all()
+        if frozen is None and lone is not None and (errors.has_factors or not whole):
             frozen = FixedCovarianceRows.build(found, errors, theta, single=True)
             lone = None if frozen is None else lone
         fast = replace(found, frozen=frozen, lone=lone)

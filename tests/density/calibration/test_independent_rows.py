@@ -179,16 +179,28 @@ def test_slopes_are_those_of_differences(case):
     assert np.linalg.eigvalsh(hessian * np.outer(sd, sd)).max() < 0.0
 
 
-def test_rows_that_lack_a_reading_or_whose_noise_has_a_factor_have_no_fast_form(rng):
+@pytest.mark.parametrize("change", ["missing", "factor", "both"])
+def test_rows_that_lack_a_reading_or_whose_noise_has_a_factor_are_seen_with_a_covariance_of_each_pose(rng, change):
     posterior = CASES["struts"](rng)
-    data = posterior.likelihood.data
-    values = data.values.copy()
-    values[0, 7] = np.nan
-    missing = replace(posterior, likelihood=replace(posterior.likelihood, data=replace(data, values=values)))
-    factor = replace(posterior, errors=ErrorModel((NoiseFactor("rho", np.arange(12) < 6, 0.3),)))
-    for other in (missing, factor):
-        assert other.with_pose_guesses().likelihood.lone is None
-    assert posterior.with_pose_guesses().likelihood.pick(np.arange(4)).lone is None
+    likelihood = posterior.likelihood
+    if change != "factor":
+        values = likelihood.data.values.copy()
+        values[0, 7] = values[3, 8] = np.nan
+        likelihood = replace(likelihood, data=replace(likelihood.data, values=values))
+    errors = () if change == "missing" else (NoiseFactor("rho", np.arange(12) < 6, 0.3),)
+    posterior = replace(posterior, likelihood=likelihood, errors=ErrorModel(errors)).with_pose_guesses()
+    likelihood = posterior.likelihood
+    assert likelihood.lone is not None
+    assert likelihood.frozen.is_single
+    mode = posterior.least_squares_start()
+    _, hessian = posterior.gradient(mode)
+    moves = rng.standard_normal((len(mode), 20))
+    at = posterior.at(mode + np.linalg.solve(np.linalg.cholesky(-hessian).T, moves).T)
+    whole = likelihood.whole.density_by_row(*at)
+    np.testing.assert_allclose(likelihood.density_by_row(*at), whole, atol=0.02)
+    np.testing.assert_allclose(likelihood.density(*at), whole.sum(axis=1), atol=0.05)
+    np.testing.assert_allclose(likelihood.density_of_row(*at, 3), whole[:, 3], atol=0.02)
+    assert likelihood.pick(np.arange(4)).lone is None
 
 
 def test_exploring_it_finds_what_the_whole_density_is():

@@ -1,0 +1,64 @@
+"""A ball on the tool in a socket that does not move: the machine's own joints are all that is read.
+
+Whatever the joints, the ball's centre at t + R b stands at the socket's place c, so that
+
+    ball = t + R b - c,    measured as zero,
+
+in every row that was read with the ball in this socket. Where it stands nobody has to know: it is found with the
+machine, and what is told of that is how far its tool's centre scatters about the socket. How far two sockets are apart
+is kept as a check, or stated by their places: without it the machine's scale is known by its tolerances alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final, Literal
+
+import numpy as np
+
+from bayescal.config.sections import Section, Vector
+from bayescal.machines.parameters import ParameterBlock
+from bayescal.machines.readings.base import Channel
+from bayescal.machines.readings.function import Parameters
+from bayescal.machines.readings.placed import UNSTATED, Instrument, turn
+from bayescal.numerics.geometry import Array
+
+AXES: Final = ("x", "y", "z")
+
+
+class SocketConfig(Section):
+    """A socket in which a ball on the tool sits."""
+
+    place_mm: Vector | None = None
+    """Where the ball's centre is in the socket, base frame; a study finds it where nothing is said."""
+    target_mm: Vector | Literal["found"] | None = None
+    """Where the ball's centre is on the tool, tool frame; at the tool's centre where nothing is said. `"found"`: a
+    study finds it.
+    """
+
+
+class SocketInstrument(Instrument):
+    """A socket of a ball: by how much its centre is off the socket's place, along the axes of the base."""
+
+    Config = SocketConfig
+
+    def __init__(self, config: SocketConfig) -> None:
+        """Lay out the place and the ball on the tool."""
+        super().__init__(config)
+        self.parameters = [ParameterBlock("place", UNSTATED if config.place_mm is None else tuple(config.place_mm))]
+        if config.target_mm is not None:
+            target = UNSTATED if config.target_mm == "found" else tuple(config.target_mm)
+            self.parameters.append(ParameterBlock("target", target))
+        self.channels = [Channel(f"[{axis}]", "mm") for axis in AXES]
+
+    def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Return how far the ball is off the socket's place."""
+        ball = position + turn(rotation, parameters["target"]) if "target" in parameters else position
+        return np.asarray(ball - parameters["place"])
+
+    def propose(
+        self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
+    ) -> Sequence[Mapping[str, Array]]:
+        """Return the ball's mean place; see `Instrument.propose`."""
+        ball = position + turn(rotation, stated["target"]) if "target" in stated else position
+        return [{"place": np.nanmean(ball - seen, axis=0)}]
