@@ -11,7 +11,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.calibrated import printer_formats
+from bayescal.calibrated import arm_formats, printer_formats
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
 from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
 from bayescal.config.load import look_up
@@ -168,6 +168,8 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     elements ``loop_joint``, which readers of plain URDF pass over. InputError where joints and rigid links are not all
     of the machine's kinematics.
     """
+    if arm_formats.is_arm(calibrated):
+        return arm_formats.list_arm_urdf_files(calibrated)
     check_perfect_legs(calibrated, "urdf", ("strut", "base"))
     mechanism = calibrated.legs.mechanism
     home = check_home_pose(calibrated.legs)
@@ -267,6 +269,7 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "csv": list_csv_files,
     "urdf": list_urdf_files,
     "genhexkins": list_genhexkins_files,
+    arm_formats.UR_KINEMATICS: arm_formats.list_ur_files,
     **printer_formats.FORMATS,
 }
 
@@ -280,8 +283,8 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
-        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, klipper, marlin, reprapfirmware; by
-        default that which `load_calibrated` takes again.
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, ur_kinematics, klipper, marlin,
+        reprapfirmware; by default that which `load_calibrated` takes again.
 
     Raises
     ------

@@ -14,85 +14,24 @@ With towers at directions α, arms l, radius r and the tool at height e where a 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import qmc
 
+from bayescal.calibrated.carried import BareMachine, take_machine
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
-from bayescal.machines.readings import FunctionModel, ReadingMachine
 from bayescal.machines.readings.delta import TOWERS, DeltaMachine
 from bayescal.machines.readings.line_machine import LineMachine
-from bayescal.machines.readings.places import TwoPlaces
 from bayescal.numerics.geometry import Array
 
 KLIPPER, MARLIN, REPRAP = "klipper", "marlin", "reprapfirmware"
 DIRECTIONS = np.array([210.0, 330.0, 90.0])
-SAMPLES = 256  # poses of the workspace
 LINES = "ABCD"
 DIGITS = 9  # behind the point, mm and degrees
-NOTHING_MM = 1e-6
-CARRIES = "carries"
-
-
-@dataclass(frozen=True, eq=False)
-class _Printer:
-    """A machine of one place without instruments, and its parameters (D,) as calibrated."""
-
-    model: FunctionModel
-    theta: Array
-    given: Mapping[str, Array]
-
-    def take(self, symbol: str) -> Array:
-        """Return a symbol's values, (n,)."""
-        return self.theta[self.model.layout.index[symbol]]
-
-    def change(self, **values: float | Array) -> Array:
-        """Return the parameters with other values of some symbols."""
-        changed = self.theta.copy()
-        for symbol, value in values.items():
-            changed[self.model.layout.index[symbol]] = value
-        return changed
-
-    def sample(self) -> tuple[Array, Array, Mapping[str, Array]]:
-        """Return poses (P, q) all over the workspace, commands (P, C) that lead there, and what is given (P,)."""
-        home, model = self.model.home_pose, self.model
-        pose = home + model.pose_scale * qmc.scale(qmc.Sobol(len(home), rng=1).random(SAMPLES), -1.0, 1.0)
-        given = {name: np.resize(value, SAMPLES) for name, value in self.given.items()}
-        return pose, model.read(self.theta, pose, given)[:, model.select(model.commanded)], given
-
-    def measure(self, other: Array) -> float:
-        """Return how far the tool is from that of other parameters at the same commands, mm rms over the workspace."""
-        model, (pose, commands, given) = self.model, self.sample()
-        there, found = model.locate(other, np.nan_to_num(commands), given)
-        apart = model.tool_values(self.theta, pose) - model.tool_values(other, there)
-        apart = apart[found & np.isfinite(commands).all(axis=1)]
-        return float(np.sqrt((apart**2).sum(axis=1).mean())) if len(apart) else float("nan")
-
-    def describe(self, held: Array, file: str = "The file") -> str:
-        """Return in words what a file that holds some parameters carries."""
-        whole, left = self.measure(self.model.layout.nominal), self.measure(held)
-        carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} mm"
-        said = f"{carried} by which the tool is off nominal, rms over the workspace"
-        return said if left < NOTHING_MM else f"{said}; {left:.2g} mm are left"
-
-
-def _take_printer(calibrated: CalibratedMachine, what: str, kinds: Mapping[str, type[ReadingMachine]]) -> _Printer:
-    """Return a calibrated machine of one of some kinds; InputError for another."""
-    model = calibrated.model.bare
-    machine: object = model.machine if isinstance(model, FunctionModel) else None
-    machine = machine.machine if isinstance(machine, TwoPlaces) else machine
-    if not isinstance(machine, ReadingMachine) or not isinstance(machine, tuple(kinds.values())):
-        expected = " or ".join(f'kind = "{name}"' for name in kinds)
-        raise InputError(f"format {what}: found machine {calibrated.name!r}, expected {expected}")
-    one = FunctionModel(calibrated.name, machine)
-    given = {name: calibrated.given[name] for name in one.given if name in calibrated.given}
-    return _Printer(one, calibrated.theta[: one.layout.size], given)
 
 
 # --- deltas ----------------------------------------------------------------------------------------------------------
@@ -109,15 +48,15 @@ class _Towers:
     held: Array  # the same in the layout of its machine
 
 
-def _read_towers(printer: _Printer) -> _Towers:
+def _read_towers(printer: BareMachine) -> _Towers:
     """Return a delta's towers; those of one radius that fit best where the calibrated ones have several."""
     held = printer.theta if len(printer.take("r")) == 1 else _fit_radius(printer)
-    one = _Printer(printer.model, held, printer.given)
+    one = BareMachine(printer.model, held, printer.given)
     towers = (one.take("l"), one.take("e"), np.degrees(one.take("angle")))
     return _Towers(float(one.take("r")[0]), *towers, held)
 
 
-def _fit_radius(printer: _Printer) -> Array:
+def _fit_radius(printer: BareMachine) -> Array:
     """Return parameters of one radius whose tool is nearest to the calibrated one at the same commands."""
     model, (pose, commands, _) = printer.model, printer.sample()
     pose, commands = (one[np.isfinite(commands).all(axis=1)] for one in (pose, commands))
@@ -135,8 +74,8 @@ def _fit_radius(printer: _Printer) -> Array:
     return unpack(least_squares(leave, start, x_scale=np.array([1.0] + [0.01] * TOWERS + [1.0] * 2 * TOWERS)).x)
 
 
-def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[_Printer, _Towers]:
-    printer = _take_printer(calibrated, what, {"delta": DeltaMachine})
+def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[BareMachine, _Towers]:
+    printer = take_machine(calibrated, what, {"delta": DeltaMachine})
     return printer, _read_towers(printer)
 
 
@@ -182,7 +121,7 @@ def _list_turns(towers: _Towers) -> str:
 
 def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return ``config.g``: M665 and M666 of a delta, M669 and M666 of a machine on four lines."""
-    printer = _take_printer(calibrated, REPRAP, {"delta": DeltaMachine, "line_machine": LineMachine})
+    printer = take_machine(calibrated, REPRAP, {"delta": DeltaMachine, "line_machine": LineMachine})
     if isinstance(printer.model.machine, LineMachine):
         held, lines = _list_hangprinter(printer, printer.model.machine)
     else:
@@ -200,7 +139,7 @@ def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]
 # --- machines on lines -----------------------------------------------------------------------------------------------
 
 
-def _list_hangprinter(printer: _Printer, machine: LineMachine) -> tuple[Array, list[str]]:
+def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array, list[str]]:
     """Return the parameters that commands of a Hangprinter hold, and these."""
     if len(machine.parallel) != len(LINES):
         raise InputError(f"format {REPRAP}: found {len(machine.parallel)} lines, expected {len(LINES)}")
@@ -216,10 +155,3 @@ def _list_hangprinter(printer: _Printer, machine: LineMachine) -> tuple[Array, l
 
 FORMATS = {KLIPPER: list_klipper_files, MARLIN: list_marlin_files, REPRAP: list_reprapfirmware_files}
 """Files of a calibrated printer by the name of its firmware; InputError for a machine that it does not drive."""
-
-
-def describe_carried(paths: Iterable[Path]) -> list[str]:
-    """Return what written files of a firmware say of how much they carry."""
-    files = [path for path in paths if path.suffix in (".cfg", ".gcode", ".g")]
-    lines = [line for path in files for line in path.read_text(encoding="utf-8").splitlines()]
-    return [line.lstrip("#; ") for line in lines if line.startswith(("#", ";")) and f" file {CARRIES} " in line]

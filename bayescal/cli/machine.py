@@ -72,9 +72,8 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
 ) -> None:
     """Write the machine as calibrated, with covariance and draws, as files for the next tool."""
+    from bayescal.calibrated.carried import describe_carried
     from bayescal.calibrated.formats import export_machine
-    from bayescal.calibrated.printer_formats import FORMATS as FIRMWARES
-    from bayescal.calibrated.printer_formats import describe_carried
     from bayescal.files.atomic import check_writable
 
     calibrated = options.load(results)
@@ -83,7 +82,7 @@ def export(
     written = export_machine(calibrated, where, name)
     for path in written:
         echo(f"wrote {path}")
-    for line in describe_carried(written) if name in FIRMWARES else ():
+    for line in describe_carried(written):
         echo(line)
     _tell_missing(results, calibrated)
 

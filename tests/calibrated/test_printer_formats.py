@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import CommandErrors, Source, build_calibrated
-from bayescal.calibrated.printer_formats import describe_carried
+from bayescal.calibrated.carried import describe_carried
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import FunctionModel
 

@@ -120,7 +120,8 @@ class FixedCovarianceRows:
         m = n - len(likelihood.model.coordinates)
         if errors.has_columns == single or errors.is_common_known or errors.outliers.expected or m < 1:
             return None
-        if not is_few and not single and data.present.sum() - n_poses * (n - m) > MOST_ROWS:  # before their columns are made
+        n_rows = data.present.sum() - n_poses * (n - m)
+        if not is_few and not single and n_rows > MOST_ROWS:  # before their columns are made
             return None
         acts = [] if is_few or single else errors.list_acts(data, likelihood.error_gain)
         if not acts and not is_few and not single:

@@ -440,7 +440,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
             lone = None if frozen is None else lone
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
-        if lone is not None and off > (GOOD if lone.is_own else CLOSE):  # slopes whose scale changes with the machine, or poses that go far
+        # slopes whose scale changes with the machine, or poses that go far
+        if lone is not None and off > (GOOD if lone.is_own else CLOSE):
             other = replace(fast, lone=lone.followed)
             fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
         if off < ROUGH:

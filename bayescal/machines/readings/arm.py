@@ -6,8 +6,8 @@ M_i(q_i) a turn about, or a slide along, its z axis and E_i its error the tip st
     T(q) = Π O_i E_i M_i(q_i) O_tip E_tip,    E_i = (x, y, z; rx, ry, offset),
 
 in the frame of joint i itself, so that parallel axes have no singularity, as the complete and continuous
-parametrisations of Mooring, Roth and Driels (1991) have none. ``offset`` turns about the joint's own axis: the zero of a
-joint that turns; ``z`` is that of one that slides. Commands, or encoders, read
+parametrisations of Mooring, Roth and Driels (1991) have none. ``offset`` turns about the joint's own axis: the zero of
+a joint that turns; ``z`` is that of one that slides. Commands, or encoders, read
 
     q_i - gain_i q_i - s1_i sin q_i - c1_i cos q_i - s2_i sin 2 q_i - c2_i cos 2 q_i - k_i τ_i(q),
 

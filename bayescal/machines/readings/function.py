@@ -79,10 +79,11 @@ def check_tool(model: FunctionModel) -> None:
     expected = f"numbers {_describe_shapes(model, theta, pose, NO_CONDITIONS)}"
     found, _, _ = _call(where, expected, lambda: model.tool(theta, pose))
     if machine.tool_slopes(Parameters(model.layout, theta), pose) is not None:
-        for what, closed, exact in zip(("v", "parameters"), model.tool(theta, pose)[1:], model._step_tool(theta, pose)[1:], strict=True):
-            size = np.max(np.abs(exact), axis=-1, keepdims=True, initial=0.0, where=np.isfinite(exact))
-            if not np.allclose(closed, exact, rtol=0.0, atol=CLOSED * max(1.0, float(size.max()))):
-                raise InputError(f"{where}_slopes: found other derivatives by {what} than tool's")
+        closed, stepped = model.tool(theta, pose)[1:], model.step_tool(theta, pose)[1:]
+        for what, given, exact in zip(("v", "parameters"), closed, stepped, strict=True):
+            size = float(np.max(np.abs(exact), initial=1.0, where=np.isfinite(exact)))
+            if not np.allclose(given, exact, rtol=0.0, atol=CLOSED * size, equal_nan=True):
+                raise InputError(f"{where}_slopes: found other derivatives by {what} than those of tool")
     names = [one.name for one in machine.tool_channels] or [one.name for one in model.coordinates]
     if found.shape[-1] != len(names):
         raise InputError(f"{where}: found {found.shape[-1]} numbers, expected {len(names)}: {', '.join(names)}")
@@ -567,7 +568,7 @@ class FunctionModel(ReadingModel):
         """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
         closed = self.machine.tool_slopes(Parameters(self.layout, theta), pose)
         if closed is None:
-            return self._step_tool(theta, pose)
+            return self.step_tool(theta, pose)
         values = self.tool_values(theta, pose)
         by_pose, by = np.broadcast_to(closed[0], (*values.shape, len(self.coordinates))), closed[1]
         by_parameters = np.zeros((*values.shape, self.layout.size))
@@ -580,7 +581,7 @@ class FunctionModel(ReadingModel):
         """Return position and axes of the tool where the machine has them; see `ReadingMachine.place_tool`."""
         return self.machine.place_tool(Parameters(self.layout, theta), pose)
 
-    def _step_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def step_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
         """Return the same by complex steps."""
         n, every = self.layout.size, np.eye(self.layout.size + len(self.coordinates))
         found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
