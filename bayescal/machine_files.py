@@ -95,8 +95,10 @@ class MachineFiles:
         )
 
 
-def load_machine(machine: AnyMachine) -> MachineFiles:
-    """Return a machine: of its TOML file, or of a user's class, or an instance of it.
+def load_machine(machine: AnyMachine, *, base: str = "", tip: str = "") -> MachineFiles:
+    """Return a machine: of its TOML file, of an arm's URDF file, or of a user's class, or an instance of it.
+
+    ``base`` and ``tip`` are links of a URDF file; by default its root and its only leaf.
 
     Raises
     ------
@@ -116,6 +118,18 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
     """
     if isinstance(machine, MachineFiles):
         return machine
+    if (base or tip) and not _is_urdf(machine):
+        raise InputError(f"{machine}: found base or tip, expected them with a URDF file alone")
+    if _is_urdf(machine):
+        path = Path(machine)  # type: ignore[arg-type]
+        try:
+            files = {path.name: path.read_bytes()}
+        except OSError as error:
+            raise InputError(f"{path}: {error.strerror}, expected a URDF file") from error
+        named = {key: value for key, value in (("base", base), ("tip", tip)) if value}
+        arm = {"kind": "arm", "name": path.stem, "title": path.stem, "machine": {"urdf": path.name, **named}}
+        files[MACHINE] = write_toml(arm).encode()
+        return MachineFiles(files, MACHINE, read_reading_model(MemoryPath(MACHINE, files=files)))
     if isinstance(machine, str | Path):
         path = Path(machine)
         legs = isinstance(read_toml(path)[0].get("legs"), dict)
@@ -130,6 +144,10 @@ def load_machine(machine: AnyMachine) -> MachineFiles:
     files[MACHINE] = write_toml(content | ({"machine": section} if section else {})).encode()
     vouch(files.values())  # whoever has the class has run its code
     return MachineFiles(files, MACHINE, read_reading_model(MemoryPath(MACHINE, files=files)))
+
+
+def _is_urdf(machine: AnyMachine) -> bool:
+    return isinstance(machine, str | Path) and Path(machine).suffix.lower() == ".urdf"
 
 
 def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:

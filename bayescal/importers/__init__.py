@@ -17,6 +17,7 @@ from bayescal.errors import InputError
 FORMATS: Final[Mapping[str, str]] = {
     "klipper": "Klipper's printer.cfg of a linear delta",
     "marlin": "M665 and M666 of a linear delta in Marlin or RepRapFirmware",
+    "urdf": "an arm in URDF (.urdf)",
 }
 """What each format is, in words, by the name of its module."""
 

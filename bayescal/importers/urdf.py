@@ -1,0 +1,151 @@
+"""An arm in a URDF file: the project is an audit of what a ball in a socket, or a tracker, would tell of it.
+
+A URDF file holds a machine and no readings. With ``instrument = socket``, which holds where nothing is said, a ball at
+the tip sits in a socket, at configurations that lead it there within the joints' limits; with ``tracker`` the tip is
+seen at configurations all over these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from bayescal.errors import InputError
+from bayescal.files.csv_tables import format_table
+from bayescal.files.toml import write_toml
+from bayescal.importers import Project
+from bayescal.machines.chains import read_urdf
+from bayescal.machines.readings.arm import Arm, ArmConfig
+from bayescal.machines.readings.function import FunctionModel
+from bayescal.numerics.geometry import Array
+
+SOCKET, TRACKER = "socket", "tracker"
+OPTIONS: Final = ("base", "tip", "instrument")
+N_POSES, TRIES, STEPS = 40, 2000, 60
+NEAR_MM = 1e-4
+LONGEST_MM = 1e5
+INNER = 0.95  # of the joints' ranges
+DAMPING, LONGEST_STEP = 10.0, 0.3  # mm²; rad or mm
+AUDIT = """# What would {by} tell of the arm's joints and links?
+kind = "audit"
+name = "{name}_{instrument}"
+title = "{title}: what {by} determines"
+seed = 1
+machine = "machine.toml"
+poses = {{ file = "configurations.csv" }}
+model_error = {{ terms = [] }}
+variants = [                             # the first joint's frame is the base's
+  {{ name = "zeros", title = "Zeros of the joints", free = ["offset", "tool"{more}], fixed = [{fixed_zeros}] }},
+  {{ name = "links", title = "Links and zeros of the joints", fixed = [{fixed}] }},
+]
+
+{instruments}
+[sensors]
+joint = {{ noise_deg = 0.02 }}             # how well the joints repeat
+{noise}
+[units]
+angle = "deg"
+
+[parameters]                             # how far the arm may be off: mm and degrees
+x = {{ prior = "normal", sd = 1.0 }}
+y = {{ prior = "normal", sd = 1.0 }}
+rx = {{ prior = "normal", sd = 0.25 }}
+ry = {{ prior = "normal", sd = 0.25 }}
+offset = {{ prior = "normal", sd = 0.5 }}
+tool = {{ prior = "normal", sd = 2.0 }}
+{parameters}"""
+
+
+def recognise(name: str, text: str) -> bool:
+    """Return whether a file is URDF, or xacro, by its name or by its first element."""
+    return name.lower().endswith((".urdf", ".xacro")) or "<robot" in text[:2000]
+
+
+def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
+    """Return an arm and an audit as a project; InputError, with the line, for a file without a chain of joints."""
+    for key in set(options) - {*OPTIONS}:
+        raise InputError(f"--option {key}: found it, expected one of {', '.join(OPTIONS)}")
+    instrument = options.get("instrument", SOCKET)
+    if instrument not in (SOCKET, TRACKER):
+        raise InputError(f"--option instrument: found {instrument!r}, expected {SOCKET} or {TRACKER}")
+    chain = read_urdf(path, options.get("base", ""), options.get("tip", ""))
+    section = {key: options[key] for key in ("base", "tip") if key in options}
+    config = ArmConfig.model_validate({"urdf": path.name, **section}, context={"folder": path.parent})
+    model = FunctionModel(path.stem, Arm(config))
+    reach = np.linalg.norm(model.tool_values(model.layout.nominal, model.home_pose)[:3])
+    if reach > LONGEST_MM:
+        raise InputError(f"{path}: found a tip {reach / 1e3:.0f} m from the base, expected lengths in metres")
+    n, names = len(chain.joints), ", ".join(one.name for one in chain.joints)
+    place = _choose_place(model)
+    rows = _seat(model, place) if instrument == SOCKET else _spread(model, N_POSES)
+    content = {"kind": "arm", "name": path.stem, "title": path.stem, "machine": {"urdf": path.name, **section}}
+    columns = ["pose", *(f"{one.name}_{one.unit}" for one in model.coordinates)]
+    said = ["Configurations of the arm to measure at, drawn at random within its joints' limits."]
+    cells = [[f"P{k:03d}", *(f"{x:.6f}" for x in row)] for k, row in enumerate(rows, start=1)]
+    files = {
+        path.name: text.encode(),
+        "machine.toml": write_toml(content).encode(),
+        "configurations.csv": format_table(said, columns, cells).encode(),
+        "audit.toml": _write_audit(path.stem, instrument, n, place).encode(),
+    }
+    found = (
+        f"{n} joints from base to tip: {names}",
+        "no readings in such a file: audit.toml says what they would determine",
+    )
+    return Project(files, found, "bayescal audit audit.toml")
+
+
+def _write_audit(name: str, instrument: str, n: int, place: Array) -> str:
+    first = [f"{symbol}[1]" for symbol in ("x", "y", "rx", "ry", "offset")]
+    fixed = ", ".join(f'"{one}"' for one in [*first, f"offset[{n}]"])
+    filled = {"fixed": fixed, "fixed_zeros": f'"offset[1]", "offset[{n}]"', "name": name, "title": name}
+    if instrument == TRACKER:
+        section = '[instruments.tracker]\nkind = "point"\nframe_mm = [0.0, 0.0, 0.0]\nframe_deg = [0.0, 0.0, 0.0]\n'
+        wide = 'tracker_frame = { prior = "normal", sd = 1000.0 }\ntracker_frame_r = { prior = "normal", sd = 30.0 }\n'
+        more, noise, by = ', "tracker_frame", "tracker_frame_r"', "tracker = { noise_mm = 0.02 }\n", "a tracker"
+    else:
+        where = ", ".join(f"{x:.1f}" for x in place)
+        section = f'[instruments]                            # nobody has to know where it stands\nsocket = {{ kind = "socket", place_mm = [{where}] }}\n'
+        wide, noise = 'socket_place = { prior = "normal", sd = 100.0 }\n', "socket = { noise_mm = 0.05 }\n"
+        more, by = ', "socket_place"', "a ball in a socket"
+    return AUDIT.format(
+        instruments=section, parameters=wide, more=more, noise=noise, by=by, instrument=instrument, **filled
+    )
+
+
+def _spread(model: FunctionModel, count: int) -> Array:
+    """Return configurations all over the joints' ranges, (P, n)."""
+    rng = np.random.default_rng(1)
+    shift = INNER * rng.uniform(-1.0, 1.0, (count, len(model.home_pose)))
+    return np.asarray(model.home_pose + model.pose_scale * shift)
+
+
+def _choose_place(model: FunctionModel) -> Array:
+    """Return where a socket may stand, mm (3,): in front, 0.6 as far out and 0.3 as far up as the tip often is."""
+    tool = model.tool_values(model.layout.nominal, _spread(model, TRIES))[:, :3]
+    reach = float(np.median(np.linalg.norm(tool, axis=1)))
+    return np.array([0.6 * reach, 0.0, 0.3 * reach]).round(1)
+
+
+def _seat(model: FunctionModel, place: Array) -> Array:
+    """Return configurations within the joints' limits that lead the tip to a place (3,), (P, n).
+
+    InputError where hardly any do.
+    """
+    theta, home, half = model.layout.nominal, model.home_pose, model.pose_scale
+    pose = _spread(model, TRIES)
+    for _ in range(STEPS):  # damped least squares
+        here, slope, _ = model.tool(theta, pose)
+        by = slope[:, :3]
+        step = np.swapaxes(by, 1, 2) @ np.linalg.solve(
+            by @ np.swapaxes(by, 1, 2) + DAMPING * np.eye(3), (place - here[:, :3])[..., None]
+        )
+        pose = pose + np.clip(step[..., 0], -LONGEST_STEP, LONGEST_STEP)
+    apart = np.linalg.norm(model.tool_values(theta, pose)[:, :3] - place, axis=1)
+    good = pose[(apart < NEAR_MM) & (np.abs(pose - home) <= half).all(axis=1)]
+    if len(good) < N_POSES:
+        raise InputError(f"socket at {place} mm: found {len(good)} configurations that reach it, expected {N_POSES}")
+    return np.asarray(good[:N_POSES])
