@@ -38,7 +38,6 @@ machine = "machine.toml"
 poses = {{ file = "configurations.csv" }}
 model_error = {{ terms = [] }}
 variants = [                             # the first joint's frame is the base's
-  {{ name = "zeros", title = "Zeros of the joints", free = ["offset", "tool"{more}], fixed = [{fixed_zeros}] }},
   {{ name = "links", title = "Links and zeros of the joints", fixed = [{fixed}] }},
 ]
 
@@ -57,6 +56,9 @@ ry = {{ prior = "normal", sd = 0.25 }}
 offset = {{ prior = "normal", sd = 0.5 }}
 tool = {{ prior = "normal", sd = 2.0 }}
 {parameters}"""
+
+
+NOWHERE = "[instruments]                            # nobody has to know where it stands\n"
 
 
 def recognise(name: str, text: str) -> bool:
@@ -101,19 +103,17 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
 def _write_audit(name: str, instrument: str, n: int, place: Array) -> str:
     first = [f"{symbol}[1]" for symbol in ("x", "y", "rx", "ry", "offset")]
     fixed = ", ".join(f'"{one}"' for one in [*first, f"offset[{n}]"])
-    filled = {"fixed": fixed, "fixed_zeros": f'"offset[1]", "offset[{n}]"', "name": name, "title": name}
+    filled = {"fixed": fixed, "name": name, "title": name}
     if instrument == TRACKER:
         section = '[instruments.tracker]\nkind = "point"\nframe_mm = [0.0, 0.0, 0.0]\nframe_deg = [0.0, 0.0, 0.0]\n'
         wide = 'tracker_frame = { prior = "normal", sd = 1000.0 }\ntracker_frame_r = { prior = "normal", sd = 30.0 }\n'
-        more, noise, by = ', "tracker_frame", "tracker_frame_r"', "tracker = { noise_mm = 0.02 }\n", "a tracker"
+        noise, by = "tracker = { noise_mm = 0.02 }\n", "a tracker"
     else:
         where = ", ".join(f"{x:.1f}" for x in place)
-        section = f'[instruments]                            # nobody has to know where it stands\nsocket = {{ kind = "socket", place_mm = [{where}] }}\n'
+        section = f'{NOWHERE}socket = {{ kind = "socket", place_mm = [{where}] }}\n'
         wide, noise = 'socket_place = { prior = "normal", sd = 100.0 }\n', "socket = { noise_mm = 0.05 }\n"
-        more, by = ', "socket_place"', "a ball in a socket"
-    return AUDIT.format(
-        instruments=section, parameters=wide, more=more, noise=noise, by=by, instrument=instrument, **filled
-    )
+        by = "a ball in a socket"
+    return AUDIT.format(instruments=section, parameters=wide, noise=noise, by=by, instrument=instrument, **filled)
 
 
 def _spread(model: FunctionModel, count: int) -> Array:
