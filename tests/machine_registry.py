@@ -15,6 +15,7 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
+from bayescal.machines.readings.mount import Mount, MountConfig
 from bayescal.machines.readings.placed import (
     DistanceConfig,
     DistanceInstrument,
@@ -84,6 +85,7 @@ ALONE = {
     "deformed legs": lambda: build_legs("deformed"),
     "lines": lambda: point_on_lines(4, bearing=True),
     "mount": lambda: read("experiments/mmt_mount/machine.toml"),
+    "equatorial mount": lambda: FunctionModel("mount", Mount(MountConfig(axes="equatorial", latitude_deg=31.7))),
     "three slides": lambda: star_of(3),
     "slides against their guides": lambda: build(make_content(5, "against", 10.0)),
 }
