@@ -14,7 +14,9 @@ from typing import Final, Protocol, cast
 
 from bayescal.errors import InputError
 
-FORMATS: Final[Mapping[str, str]] = {}
+FORMATS: Final[Mapping[str, str]] = {
+    "tpoint": "a star file of TPOINT (option ALTAZ)",
+}
 """What each format is, in words, by the name of its module."""
 
 

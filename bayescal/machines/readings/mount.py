@@ -25,6 +25,7 @@ is measured over few elevations or declinations, their sums are known, and they 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Final, Literal, Self
 
 import numpy as np
@@ -126,10 +127,11 @@ class Mount(ReadingMachine):
         return v
 
 
+type Terms = Mapping[str, np.ndarray]
 type Correction = tuple[np.ndarray, np.ndarray]
 
 
-def correct_altazimuth(terms: Parameters, azimuth: np.ndarray, elevation: np.ndarray) -> Correction:
+def correct_altazimuth(terms: Terms, azimuth: np.ndarray, elevation: np.ndarray) -> Correction:
     """Return what the sky is beyond encoders of azimuth, from north through east, and of elevation, arrays (...)."""
     sine, cosine = np.sin(azimuth), np.cos(azimuth)
     tilt = terms["AN"] * sine + terms["AW"] * cosine + terms["NPAE"]
@@ -138,7 +140,7 @@ def correct_altazimuth(terms: Parameters, azimuth: np.ndarray, elevation: np.nda
     return along, across - terms["TF"] * np.cos(elevation) - terms["TX"] / np.tan(elevation)
 
 
-def correct_equatorial(terms: Parameters, hour: np.ndarray, declination: np.ndarray, latitude: float) -> Correction:
+def correct_equatorial(terms: Terms, hour: np.ndarray, declination: np.ndarray, latitude: float) -> Correction:
     """Return what the sky is beyond encoders of hour angle, to the west, and of declination, arrays (...)."""
     sine, cosine, tangent = np.sin(hour), np.cos(hour), np.tan(declination)
     level, steep = np.cos(latitude), np.sin(latitude)
