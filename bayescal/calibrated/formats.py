@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
 from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
+from bayescal.calibrated.tpoint import list_tpoint_files
 from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
@@ -266,6 +267,7 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "csv": list_csv_files,
     "urdf": list_urdf_files,
     "genhexkins": list_genhexkins_files,
+    "tpoint": list_tpoint_files,
 }
 
 
@@ -278,7 +280,7 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
-        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins; by default that which
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, tpoint; by default that which
         `load_calibrated` takes again.
 
     Raises

@@ -67,7 +67,9 @@ def export(
     options: MachineOptions,
     name: Annotated[
         str | None,
-        typer.Option("--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins."),
+        typer.Option(
+            "--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins, tpoint."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
 ) -> None:
