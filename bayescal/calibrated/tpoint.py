@@ -2,8 +2,8 @@
 
 A caption; a record of how the terms were found (method, number of stars, their root mean square on the sky in arcsec);
 then a term a line, in columns as wide as its readers take them: one that chains terms, one that marks a fixed term by
-``=``, eight of its name, ten of its value, twelve of its standard error; then ``END``. All terms are chained, by ``&``:
-each is evaluated where the star stands, none where the terms before it have moved it. Azimuths of its formulas are from
+``=``, eight of its name, ten of its value, twelve of its standard error; then ``END``. ``&`` chains a term to the one
+before it: all are evaluated where the star stands, none where others have moved it. Azimuths of its formulas are from
 north through east, whatever the machine's own are. Below ``END``, where no reader looks, stands what the format cannot
 hold.
 """
@@ -22,6 +22,8 @@ from bayescal.machines.readings.mount import ALTAZIMUTH, DIRECTIONS, Mount
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND
 
+ABOVE: Final = 2
+"""Lines above the terms."""
 VALUE, ERROR = 10, 12
 """Widths of columns."""
 MOST_DIGITS: Final = 6
@@ -48,7 +50,8 @@ def list_tpoint_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     for k, name in enumerate(names):
         if free[k] or terms[k]:
             error = f"{errors[k]:{ERROR}.5f}" if calibrated.covariance is not None and free[k] else ""
-            lines.append(f"&{' ' if free[k] else '='}{name:8s}{format_value(terms[k])}{error}")
+            chain = " " if len(lines) == ABOVE else "&"
+            lines.append(f"{chain}{' ' if free[k] else '='}{name:8s}{format_value(terms[k])}{error}")
     lines += ["END", *(f"! {one}" for one in _describe_rest(calibrated, model, scatter, directions))]
     return {"tpoint.mod": ("\n".join(lines) + "\n").encode()}
 

@@ -45,6 +45,7 @@ def read_model(text):
     caption, head, *lines = text.splitlines()
     terms, errors = {}, {}
     end = lines.index("END")
+    assert [line[0] for line in lines[:end]] == [" ", *"&" * (end - 1)]
     for line in lines[:end]:
         assert re.fullmatch(r"[& ][= ][A-Z]+ +[-+.\d ]{10}[-+.\d ]*", line)
         name, value, error = line[2:10].strip(), line[10:20], line[20:32]

@@ -68,9 +68,9 @@ def test_a_measured_file_gives_the_shipped_terms(call, tmp_path):
     assert call("init", tmp_path / "mine", "--from", path, "--option", "azimuth_from=south")[0] == 0
     found = {}
     for name, study in (("mine", tmp_path / "mine" / "study.toml"), ("shipped", MMT / "study.toml")):
-        assert call("run", study, "--out", tmp_path / name, "--workers", 1)[0] == 0
-        table = pd.read_csv(tmp_path / name / "tables" / "parameters.csv")
-        own = table[(table["variant"] == "eight") & table["unit"].eq("arcsec")]
+        assert call("run", study, "--out", tmp_path / f"out_{name}", "--workers", 1)[0] == 0
+        table = pd.read_csv(tmp_path / f"out_{name}" / "tables" / "parameters.csv")
+        own = table[(table["variant"] == "eight") & table["unit"].eq("rad")]
         found[name] = own.set_index("parameter")[["mean", "sd"]]
     assert len(found["mine"]) == 8
     off = (found["mine"]["mean"] - found["shipped"]["mean"]) / found["shipped"]["sd"]
