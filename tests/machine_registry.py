@@ -15,6 +15,7 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
+from bayescal.machines.readings.line_machine import LineMachine, LineMachineConfig
 from bayescal.machines.readings.mount import Mount, MountConfig
 from bayescal.machines.readings.placed import (
     DistanceConfig,
@@ -65,9 +66,17 @@ class TurningArm(own_arm.Arm):
         return np.concatenate(np.broadcast_arrays(encoders, own_arm.Arm.tool(self, parameters, v)), axis=-1)
 
 
+SLED = {
+    "gear": 291.0,
+    "spool_buildup_mm": 0.02,
+    "workspace_half_width_mm": [1000.0, 500.0],
+    "lines": [{"anchor_mm": [x, 1100.0, 12.0], "spool_radius_mm": 10.1} for x in (-1500.0, 1500.0)],
+}
+"""A router on two chains in front of a sheet."""
 LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
+    "lines in a plane": lambda: FunctionModel("sled", LineMachine(LineMachineConfig(**SLED))),
     "three_rps": lambda: read("benchmarks/three_rps/solved.toml"),
     "arm": lambda: FunctionModel("arm", own_arm.Arm(None)),
 }

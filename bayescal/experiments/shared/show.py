@@ -115,11 +115,15 @@ def _describe_mechanism(mechanism: Mechanism) -> Page:
 @_describe.register
 def _describe_lines(machine: LineMachine, name: str) -> Page:
     blocks = {block.symbol: block.nominal for block in machine.parameters}
-    anchors = [(float(x), float(y), float(z)) for x, y, z in zip(*(blocks[f"A_{axis}"] for axis in AXES), strict=True)]
+    flat = [0.0] * (len(AXES) - len(machine.axes))  # of a plane
+    height = list(machine.away) or flat
+    across = [blocks[f"A_{axis}"] for axis in machine.axes] + ([height] if flat else [])
+    anchors = [(float(x), float(y), float(z)) for x, y, z in zip(*across, strict=True)]
     nothing = [NOWHERE] * len(anchors)
     places = {"origin": NOWHERE}
-    for signs in product((-1.0, 1.0), repeat=3):
-        x, y, z = (c.home + sign * c.reach for c, sign in zip(machine.coordinates, signs, strict=True))
+    for signs in product((-1.0, 1.0), repeat=len(machine.axes)):
+        at = (c.home + sign * c.reach for c, sign in zip(machine.coordinates, signs, strict=True))
+        x, y, z = (*at, *flat)
         places[f"corner {len(places)}"] = (x, y, z)
     columns = [Column("Line"), *(Column(axis, "mm", "A, anchor") for axis in AXES)]
     scene = build_line_scene(anchors, nothing, nothing, places)
