@@ -298,6 +298,14 @@ class ReadingMachine(ABC):
         del parameters
         return v
 
+    def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]] | None:
+        """Return what `bayescal show` draws: points (..., P, 3) in mm, and which of them lines join, by their numbers.
+
+        None by default: such a machine cannot be drawn.
+        """
+        del parameters, v
+        return None
+
     def rotation(self, v: np.ndarray) -> np.ndarray | None:
         """Return how the tool is turned, (..., m, m) from its frame to the base's; None, as by default: it is not.
 

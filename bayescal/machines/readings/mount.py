@@ -25,7 +25,7 @@ is measured over few elevations or declinations, their sums are known, and they 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Final, Literal, Self
 
 import numpy as np
@@ -44,6 +44,9 @@ TERMS: Final = {
 """Terms by the mount's axes, as TPOINT calls them."""
 DIRECTIONS: Final = {ALTAZIMUTH: ("azimuth", "elevation"), "equatorial": ("hour_angle", "declination")}
 """Angles of a direction on the sky by the mount's axes."""
+
+PIER, ACROSS, ALONG = 1000.0, 0.3, 0.5
+"""How long a drawing has the pier, mm, as the tube; half the second axis and the first one in its units."""
 
 type Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
@@ -125,6 +128,25 @@ class Mount(ReadingMachine):
         """Return where it points, both angles on the sky."""
         del parameters
         return v
+
+    def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]]:
+        """Return pier, tube and second axis, and the pole of an equatorial mount; x to the east, y to the north."""
+        del parameters
+        one, other = v[..., 0, None], v[..., 1, None]
+        if self.axes == ALTAZIMUTH:
+            pole, meridian, side = np.eye(3)[[2, 1, 0]]
+            first = np.pi - one if self.from_south else one
+        else:
+            level, steep = np.cos(self.latitude), np.sin(self.latitude)
+            pole, meridian, side = np.array([[0.0, level, steep], [0.0, -steep, level], [-1.0, 0.0, 0.0]])
+            first = one
+        ahead, across = np.cos(first) * meridian + np.sin(first) * side, np.sin(first) * meridian - np.cos(first) * side
+        tube = np.cos(other) * ahead + np.sin(other) * pole
+        foot = np.array([0.0, 0.0, -1.0])
+        ends, lines = [foot, 0.0 * foot, tube, ACROSS * across, -ACROSS * across], [(0, 1), (1, 2), (3, 4)]
+        if self.axes != ALTAZIMUTH:
+            ends, lines = [*ends, ALONG * pole], [*lines, (1, 5)]
+        return PIER * np.stack(np.broadcast_arrays(*ends), axis=-2), lines
 
 
 type Terms = Mapping[str, np.ndarray]
