@@ -16,6 +16,8 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
+from bayescal.machines.readings.line_machine import LineMachine, LineMachineConfig
+from bayescal.machines.readings.mount import Mount, MountConfig
 from bayescal.machines.readings.placed import (
     DistanceConfig,
     DistanceInstrument,
@@ -66,12 +68,20 @@ class TurningArm(own_arm.Arm):
         return np.concatenate(np.broadcast_arrays(encoders, own_arm.Arm.tool(self, parameters, v)), axis=-1)
 
 
+SLED = {
+    "gear": 291.0,
+    "spool_buildup_mm": 0.02,
+    "workspace_half_width_mm": [1000.0, 500.0],
+    "lines": [{"anchor_mm": [x, 1100.0, 12.0], "spool_radius_mm": 10.1} for x in (-1500.0, 1500.0)],
+}
+"""A router on two chains in front of a sheet."""
 LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
     "delta printer at two places": lambda: read("experiments/flsun_v400/machine.toml"),
     "rotary delta": lambda: FunctionModel("rotary", build_rotary_delta()),
     "towers apart": lambda: FunctionModel("towers", build_delta()),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
+    "lines in a plane": lambda: FunctionModel("sled", LineMachine(LineMachineConfig(**SLED))),
     "three_rps": lambda: read("benchmarks/three_rps/solved.toml"),
     "arm": lambda: FunctionModel("arm", own_arm.Arm(None)),
 }
@@ -90,6 +100,7 @@ ALONE = {
     "deformed legs": lambda: build_legs("deformed"),
     "lines": lambda: point_on_lines(4, bearing=True),
     "mount": lambda: read("experiments/mmt_mount/machine.toml"),
+    "equatorial mount": lambda: FunctionModel("mount", Mount(MountConfig(axes="equatorial", latitude_deg=31.7))),
     "three slides": lambda: star_of(3),
     "slides against their guides": lambda: build(make_content(5, "against", 10.0)),
 }

@@ -377,6 +377,7 @@ def test_every_shipped_experiment_is_run_here():
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
         *(f"flsun_v400/{name}.toml" for name in FLSUN),  # in machines/readings/test_delta.py
         *(f"mmt_mount/{name}.toml" for name in ("machine", "study")),  # in machines/readings/test_mount.py
+        *(f"jugglebot/{name}.toml" for name in ("drawn", "mechanism", "study")),  # in calibration/test_jugglebot.py
         *(
             f"m2_hexapod_table/{name}.toml" for name in ("machine", "simulate", "study", "table")
         ),  # in test_lookup_table

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from bayescal.calibrated import arm_formats, printer_formats
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
 from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
+from bayescal.calibrated.tpoint import list_tpoint_files
 from bayescal.config.load import look_up
 from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
@@ -269,8 +270,12 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "csv": list_csv_files,
     "urdf": list_urdf_files,
     "genhexkins": list_genhexkins_files,
+<<<<<<< HEAD
     arm_formats.UR_KINEMATICS: arm_formats.list_ur_files,
     **printer_formats.FORMATS,
+=======
+    "tpoint": list_tpoint_files,
+>>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
 }
 
 
@@ -283,8 +288,13 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
+<<<<<<< HEAD
         One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, ur_kinematics, klipper, marlin,
         reprapfirmware; by default that which `load_calibrated` takes again.
+=======
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, tpoint; by default that which
+        `load_calibrated` takes again.
+>>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
 
     Raises
     ------

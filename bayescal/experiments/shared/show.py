@@ -15,7 +15,9 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.joints import tabulate_joints
 from bayescal.experiments.shared.machine_scene import build_line_scene, build_scene
 from bayescal.machines.mechanism import Mechanism
+from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import load_mechanism, read_reading_model
+from bayescal.machines.readings import Parameters, ReadingMachine
 from bayescal.machines.readings.line_machine import AXES, LineMachine
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
@@ -58,10 +60,49 @@ def describe_machine(path: Path) -> Page:
 
 @singledispatch
 def _describe(machine: object, name: str) -> Page:
-    """Return the page of a machine of one function whose class tells its joints."""
-    raise InputError(
-        "found a machine whose class does not tell its joints, expected legs, struts, sliding platform or lines"
-    )
+    """Return the page of a machine of one function: its outline at home and at the ends of its coordinates."""
+    if not isinstance(machine, ReadingMachine):
+        raise InputError("found a machine that is no function, expected one of legs, or a class with `outline`")
+    layout = ParameterLayout(tuple(machine.parameters))
+    names, places, pairs = _trace(machine, layout)
+    stands = enumerate(places.swapaxes(0, 1), start=1)
+    points = tuple(ScenePoint(f"point {k}", "base", tuple(map(_triple, one))) for k, one in stands)
+    lines = tuple(SceneLine(pair, "leg") for pair in pairs)
+    caption = "Points and lines as the class of the machine has them. Turn with mouse, finger or arrow keys."
+    scene = Scene("machine", caption, f"{len(points)} points and {len(lines)} lines.", points, lines, names)
+    columns = [Column("Parameter", kind="name"), Column("Nominal"), Column("Unit", kind="name")]
+    values = zip(layout.names, layout.nominal.tolist(), layout.units, strict=True)
+    rows = [[one, format_plain(x), unit] for one, x, unit in values]
+    table = make_table("Nominal values.", columns, rows)
+    shown = PageSection("The machine", (scene,), "machine"), PageSection("Parameters", (table,), "parameters")
+    said = f"{len(rows)} parameters, {len(machine.coordinates)} coordinates."
+    return Page("Machine", name, name, "", said, (), shown)
+
+
+def _trace(machine: ReadingMachine, layout: ParameterLayout) -> tuple[tuple[str, ...], Array, list[tuple[int, int]]]:
+    """Return names of poses, the outline's points there (n, P, 3), mm, and its lines; InputError without an outline."""
+    home = np.array([one.home for one in machine.coordinates])
+    far = np.diag([one.reach for one in machine.coordinates]).reshape(len(home), -1)
+    poses = np.array([home, *(home + sign * one for one in far for sign in (-1.0, 1.0))])
+    names = ["home", *(f"{one.name} {end}" for one in machine.coordinates for end in ("smallest", "largest"))]
+    try:  # somebody else's code
+        with np.errstate(all="ignore"):
+            drawn = machine.outline(Parameters(layout, layout.nominal), poses)
+        if drawn is None:
+            raise InputError("found a machine whose class has no drawing, expected legs, struts, lines or `outline`")
+        points = np.asarray(drawn[0], dtype=np.float64)
+        places = np.broadcast_to(points, (len(poses), points.shape[-2], len(AXES)))
+        pairs = [(range(len(places[0]))[one], range(len(places[0]))[other]) for one, other in drawn[1]]
+    except InputError:
+        raise
+    except Exception as error:
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        expected = "points (..., P, 3) and pairs of their numbers"
+        raise InputError(f"outline: failed with {said}, expected {expected}") from error
+    stands = np.isfinite(places).all(axis=(1, 2))
+    if not stands.any():
+        raise InputError("outline: found no finite points, expected some at home")
+    return tuple(name for name, good in zip(names, stands, strict=True) if good), places[stands], pairs
 
 
 def _make_page(
@@ -115,11 +156,15 @@ def _describe_mechanism(mechanism: Mechanism) -> Page:
 @_describe.register
 def _describe_lines(machine: LineMachine, name: str) -> Page:
     blocks = {block.symbol: block.nominal for block in machine.parameters}
-    anchors = [(float(x), float(y), float(z)) for x, y, z in zip(*(blocks[f"A_{axis}"] for axis in AXES), strict=True)]
+    flat = [0.0] * (len(AXES) - len(machine.axes))  # of a plane
+    height = list(machine.away) or flat
+    across = [blocks[f"A_{axis}"] for axis in machine.axes] + ([height] if flat else [])
+    anchors = [(float(x), float(y), float(z)) for x, y, z in zip(*across, strict=True)]
     nothing = [NOWHERE] * len(anchors)
     places = {"origin": NOWHERE}
-    for signs in product((-1.0, 1.0), repeat=3):
-        x, y, z = (c.home + sign * c.reach for c, sign in zip(machine.coordinates, signs, strict=True))
+    for signs in product((-1.0, 1.0), repeat=len(machine.axes)):
+        at = (c.home + sign * c.reach for c, sign in zip(machine.coordinates, signs, strict=True))
+        x, y, z = (*at, *flat)
         places[f"corner {len(places)}"] = (x, y, z)
     columns = [Column("Line"), *(Column(axis, "mm", "A, anchor") for axis in AXES)]
     scene = build_line_scene(anchors, nothing, nothing, places)

@@ -422,6 +422,7 @@ def _list_couplings(readings: VariantReadings) -> Iterator[Cause]:
 def _list_channels(readings: VariantReadings) -> Iterator[Cause]:
     """Yield another zero of single channels, another scale, about their own zero or about their mean, and drifts."""
     values, ones = readings.values, np.ones(len(readings.values))
+    yield from _list_common_zeros(readings)
     for k, one in enumerate(readings.channels):
         finite = np.isfinite(values[:, k])
         if finite.sum() < 3:
@@ -440,6 +441,17 @@ def _list_channels(readings: VariantReadings) -> Iterator[Cause]:
             yield Cause(CHANNEL, "", columns=show(np.where(finite, values[:, k] - mean, 0.0)), say=scaled, scaled=k)
         # whatever it was when the first row was measured
         yield Cause(DRIFT, "", columns=show(readings.time, ones), say=partial(_say_drift, one))
+
+
+def _list_common_zeros(readings: VariantReadings) -> Iterator[Cause]:
+    """Yield one other zero of all of the machine's own channels of a kind, as of legs homed somewhere else."""
+    kinds = np.array([one.kind if one.name != one.kind and not one.external else "" for one in readings.channels])
+    for kind in dict.fromkeys(kinds):
+        own = kinds == kind
+        if kind and own.sum() > 1:
+            columns = np.broadcast_to(own[:, None], (*readings.values.shape, 1)).astype(float)
+            every = Channel(f"all {kind}", readings.channels[int(np.argmax(own))].unit)
+            yield Cause(CHANNEL, "", columns=columns, say=partial(_say_zero, every), scope="kind")
 
 
 def _say_zero(channel: Channel, size: Array) -> str:

@@ -22,6 +22,7 @@ from itertools import combinations
 import numpy as np
 
 from bayescal.density.calibration.model_error import GPTerm
+from bayescal.density.calibration.terms import NoiseFactor
 from bayescal.errors import NumericalError
 from bayescal.experiments.shared.slip_causes import (
     FACTORS,
@@ -77,6 +78,7 @@ USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
 QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
+MOST_OF_IT = 0.8  # of what errors in proportion to all travels explain, that one channel's gain explains alone
 FITS_WELL, HOPELESS = 1.2, 8.0  # rms of a cause that leaves little, and nats a row below it of what is not fitted then
 TURNS = 3  # of a noise's factor and of errors' sizes, each with the other held
 FITS, MOST_FITS = 3, 8  # steps of a fit, and at most where the log-density still rises
@@ -307,14 +309,18 @@ class SlipSearch:
 
     @cached_property
     def allowed(self) -> Array:
-        """What readings may be off by, noise and one scale of functions of the pose where there are any, (K,)."""
+        """What readings may be off by, noise and one scale of functions of the pose, (K,).
+
+        Infinite where neither functions nor a factor on the noise could have taken an error of the data up.
+        """
         channels, data = self.readings.channels, self.posterior.likelihood.data
         noise = np.nanmedian(np.where(data.present, data.sd, np.nan), axis=0)
         found = np.zeros(len(channels))
         for one in self.posterior.errors.terms_of(GPTerm):
             found = np.where([channel.unit == "mm" for channel in channels], one.scale, found)
             found[one.own.places] = one.scale / one.own.levers
-        return np.asarray(np.hypot(noise, found)) if found.any() else np.full(len(channels), np.inf)
+        absorbs = bool(found.any()) or bool(self.posterior.errors.terms_of(NoiseFactor))
+        return np.asarray(np.hypot(noise, found)) if absorbs else np.full(len(channels), np.inf)
 
     def measure(self, cause: Cause, fit: CauseFit) -> float:
         """Return the rms of what a cause does to readings: of rows in their noise, of others in what was allowed for.
@@ -354,6 +360,10 @@ class SlipSearch:
 
     def _name(self, weighed: list[ScoredCause]) -> NamedCause | None:
         weighed = [one for one in weighed if one.cause.fault != WIDE]
+        if weighed and weighed[0].cause.fault == MODEL:
+            # errors in proportion to all travels hold a gain of each channel: where one does nearly as much, it is that
+            most = [one for one in weighed if one.cause.fault == CHANNEL and one.gain > MOST_OF_IT * weighed[0].gain]
+            weighed = [one for one in weighed if not most or one.cause.fault != MODEL]
         if not weighed or weighed[0].gain <= (SURE_OF_MODEL if weighed[0].cause.fault == MODEL else MIN_CAUSE_GAIN_NAT):
             return None
         best = [one for one in weighed if one.gain > MIN_CAUSE_GAIN_NAT]

@@ -15,6 +15,7 @@ from bayescal.experiments.shared.posterior_files import write_packed
 from bayescal.experiments.shared.slips import MisstatedInput
 from bayescal.experiments.shared.study_schema import stem_of
 from bayescal.experiments.study.calibrated import list_machine_files
+from bayescal.experiments.study.doubts import doubt_zero
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import begin_widths, tabulate_widths
 from bayescal.experiments.study.readings import ReadingFit, describe_readings, fit_variant
@@ -43,6 +44,7 @@ def compute_study(inputs: StudyInputs, run: Run) -> Results:
         "rankings": rank_variants(variants),
         **({} if slip is None else {"suspected_data_error": slip.record()}),
         **({} if inputs.denied is None else {"ignored_data_errors": [inputs.denied.say()]}),
+        **({"shifted": shifted} if slip is None and (shifted := doubt_zero(inputs)) else {}),
         **({} if claims is None else {"publication": claims.describe()}),
     }
     if slip is None:

@@ -15,6 +15,9 @@ which is g m_i Δ_i / R_i without build-up. Tensions are either given with each 
 hangs in its lines, pretensioned alike as far as its weight allows: F = T + U⁺ (W - U T), U the lines' directions.
 
 An instrument that sees the point reads o + (1 + s)(v + ω e_z × v): offset o, scale s and turn ω of its frame.
+
+A point that keeps to a plane, such as the sled of a router on two chains or of a plotter on belts, has x and y alone,
+and so have its anchors: how far an anchor is from the plane is known, and adds to the length of its line.
 """
 
 from __future__ import annotations
@@ -62,8 +65,8 @@ class LineMachineConfig(Section):
     """Turns of the motor per turn of the spool [1]."""
     spool_buildup_mm: NotNegative
     """Build-up Q of line on a spool: r² = R² − n_parallel_lines · Q · (line paid out)."""
-    workspace_half_width_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)]
-    """Half widths of the workspace in x, y and z."""
+    workspace_half_width_mm: Annotated[list[Positive], Field(min_length=2, max_length=3)]
+    """Half widths of the workspace in x, y and z; in x and y of a point that keeps to the plane z of the centre."""
     centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """Centre of the workspace."""
     tension: Literal["none", "hanging", "measured"] = "none"
@@ -88,39 +91,42 @@ class LineMachine(ReadingMachine):
 
     def __init__(self, config: LineMachineConfig) -> None:
         """Lay out parameters, coordinates and channels."""
-        self.tension = config.tension
+        self.tension, self.axes = config.tension, AXES[: len(config.workspace_half_width_mm)]
+        if self.tension == "hanging" and self.axes != AXES:
+            raise ValueError("tension: found 'hanging' in a plane, expected 'none' or 'measured'")
         self.parallel = np.array([float(one.n_parallel_lines) for one in config.lines])
         self.gear, self.weight = config.gear, config.mass_kg * GRAVITY
         n = range(1, len(config.lines) + 1)
         anchors = np.array([one.anchor_mm for one in config.lines]).T
+        self.away = () if self.axes == AXES else anchors[2] - config.centre_mm[2]  # of anchors from the plane
         self.parameters = [
-            *(ParameterBlock(f"A_{axis}", tuple(one)) for axis, one in zip(AXES, anchors, strict=True)),
+            *(ParameterBlock(f"A_{axis}", tuple(one)) for axis, one in zip(self.axes, anchors, strict=False)),
             ParameterBlock("R", tuple(one.spool_radius_mm for one in config.lines), lower=0.0),
             ParameterBlock("Q", (config.spool_buildup_mm,), per_leg=False),
             ParameterBlock("c", (config.compliance_per_million,), "1e-6/N", per_leg=False),
             ParameterBlock("T", (config.pretension_n,), "N", per_leg=False),
-            *(ParameterBlock(f"o_{axis}", (0.0,), per_leg=False) for axis in AXES),
+            *(ParameterBlock(f"o_{axis}", (0.0,), per_leg=False) for axis in self.axes),
             ParameterBlock("s", (0.0,), "1", per_leg=False),
             ParameterBlock("omega", (0.0,), "rad", per_leg=False),
         ]
         self.coordinates = [
             Coordinate(axis, "mm", home, reach)
-            for axis, home, reach in zip(AXES, config.centre_mm, config.workspace_half_width_mm, strict=True)
+            for axis, home, reach in zip(self.axes, config.centre_mm, config.workspace_half_width_mm, strict=False)
         ]
         self.channels = [
             *(Channel(f"motor[{k}]", "rad") for k in n),
-            *(Channel(axis, "mm", external=True) for axis in AXES),
+            *(Channel(axis, "mm", external=True) for axis in self.axes),
             *(Channel(f"length[{k}]", "mm", external=True) for k in n),
         ]
-        self.tool_channels = [Channel(axis, "mm") for axis in AXES]
+        self.tool_channels = [Channel(axis, "mm") for axis in self.axes]
         self.commanded = ["motor"]
         self.given = tuple(f"force_{k}" for k in n) if config.tension == "measured" else ()
         self.at_origin = np.array(config.force_at_origin_n or [0.0] * len(config.lines))
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return the motors' angles, the point as an instrument sees it, and the lines' lengths."""
-        lengths, now = self._pay_out(parameters, [v[..., k] for k in range(len(AXES))], given)
-        _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
+        lengths, now = self._pay_out(parameters, [v[..., k] for k in range(len(self.axes))], given)
+        _, before = self._pay_out(parameters, [0.0] * len(self.axes), None)
         motors = [
             self._wind(parameters["R"][..., k], parameters["Q"], away - home, self.parallel[k])
             for k, (away, home) in enumerate(zip(now, before, strict=True))
@@ -135,11 +141,11 @@ class LineMachine(ReadingMachine):
         return 2.0 * self.gear * parallel * paid_out / (radius + wound)
 
     def _see(self, parameters: Parameters, v: np.ndarray) -> Row:
-        """Return the point as an instrument sees it, three arrays (...)."""
-        x, y, z = v[..., 0], v[..., 1], v[..., 2]
+        """Return the point as an instrument sees it, an array (...) for each axis."""
+        x, y, *above = (v[..., k] for k in range(len(self.axes)))
         turn, scale = parameters["omega"], 1.0 + parameters["s"]
-        turned = (x - turn * y, y + turn * x, z)
-        return [parameters[f"o_{axis}"] + scale * one for axis, one in zip(AXES, turned, strict=True)]
+        turned = (x - turn * y, y + turn * x, *above)
+        return [parameters[f"o_{axis}"] + scale * one for axis, one in zip(self.axes, turned, strict=True)]
 
     def _pay_out(self, parameters: Parameters, p: Row, given: Given | None) -> tuple[Row, Row]:
         """Return the lines' lengths at p and what of them has left the spools, N arrays (...) each."""
@@ -155,9 +161,12 @@ class LineMachine(ReadingMachine):
 
         Line by line: arrays whose last axis is as short as that of the lines are slow ones.
         """
-        anchors = [parameters[f"A_{axis}"] for axis in AXES]
+        anchors = [parameters[f"A_{axis}"] for axis in self.axes]
         spans = [[one[..., k] - at for one, at in zip(anchors, p, strict=True)] for k in range(len(self.parallel))]
-        lengths = [sqrt(x * x + y * y + z * z) for x, y, z in spans]
+        if len(self.away):
+            lengths = [sqrt(x * x + y * y + z * z) for (x, y), z in zip(spans, self.away, strict=True)]
+        else:
+            lengths = [sqrt(x * x + y * y + z * z) for x, y, z in spans]
         return lengths, [[one / by for one in span] for span, by in zip(spans, lengths, strict=True)]
 
     def _pull(self, parameters: Parameters, directions: Sequence[Row], given: Given | None) -> Row:
@@ -185,9 +194,9 @@ class LineMachine(ReadingMachine):
 
     def slopes(self, parameters: Parameters, v: np.ndarray, given: Given) -> Sequence[Row]:
         """Return ∂h/∂v in closed form: ∂l/∂p = -u, ∂θ/∂Δ = g m / r."""
-        point = [v[..., k] for k in range(len(AXES))]
+        point = [v[..., k] for k in range(len(self.axes))]
         lengths, directions = self._span(parameters, point)
-        _, before = self._pay_out(parameters, [0.0, 0.0, 0.0], None)
+        _, before = self._pay_out(parameters, [0.0] * len(self.axes), None)
         away, by_point = self._stretch(parameters, lengths, directions, given)
         motors = []
         for k, slope in enumerate(by_point):
@@ -196,7 +205,8 @@ class LineMachine(ReadingMachine):
             motors.append([gain * one for one in slope])
         turn, scale = parameters["omega"], 1.0 + parameters["s"]
         seen = [[scale, -scale * turn, 0.0], [scale * turn, scale, 0.0], [0.0, 0.0, scale]]
-        return [*motors, *seen, *([-one for one in u] for u in directions)]
+        n = len(self.axes)
+        return [*motors, *(row[:n] for row in seen[:n]), *([-one for one in u] for u in directions)]
 
     def _stretch(
         self, parameters: Parameters, lengths: Row, directions: Sequence[Row], given: Given
@@ -209,7 +219,7 @@ class LineMachine(ReadingMachine):
         if self.tension == "hanging":
             forces, by_point = self._differentiate_forces(parameters["T"], lengths, directions)
         else:
-            forces, by_point = self._pull(parameters, directions, given), [[0.0] * len(AXES)] * len(lengths)
+            forces, by_point = self._pull(parameters, directions, given), [[0.0] * len(self.axes)] * len(lengths)
         for length, force, by, slope in zip(lengths, forces, by_point, rigid, strict=True):
             share = 1.0 / (1.0 + compliance * force)
             paid_out.append(length * share)

@@ -53,7 +53,9 @@ def test_coordinates_that_are_no_parameters_count_as_zero():
     assert read_joint_columns(rows, "sd") == {("base", 1): (0.1, 0.0, 0.0), ("platform", 1): (0.0, 0.0, 0.2)}
 
 
-@pytest.mark.parametrize("name", ["hexaglide/mechanism", "hangprinter/machine", "sliding_star/machine"])
+@pytest.mark.parametrize(
+    "name", ["hexaglide/mechanism", "hangprinter/machine", "sliding_star/machine", "mmt_mount/machine"]
+)
 def test_a_machine_is_shown(name, tmp_path, call):
     out = tmp_path / "new" / "machine.html"
     assert call("show", str(SHIPPED / f"{name}.toml"), "--out", str(out))[0] == 0

@@ -27,6 +27,8 @@ REJECTED_SHARE = 0.01
 """Of targets that normal noise leaves alone, robust fits reject fewer."""
 COVERAGE, BOUND = 0.90, 0.95
 """What intervals and bounds should hold."""
+RARE_PULL = 1e-3
+"""Probability that any parameter lies so far from nominal, in its tolerance, below which that is said."""
 RARE_BOUND = 0.01
 """A coarser test than those of χ²: with few poses none beyond a bound is rarely out of the question."""
 SIZES = "Size of errors"
@@ -44,6 +46,7 @@ def state_soundness(study: StudyResults) -> list[Statement]:
         *state_denied(study.summary),
         *state_solutions(study),
         *_state_targets(study),
+        *_state_shift(study),
         *_state_misstated(study),
         *_state_misfit(study),
         *_state_tolerances(study),
@@ -130,6 +133,12 @@ def say_misstated(study: StudyResults, faults: Collection[str] = (LARGE, EITHER,
     return str(found["text"]).partition(" (")[0]
 
 
+def _state_shift(study: StudyResults) -> list[Statement]:
+    """Say by how much all measured poses are shifted against the machine as drawn."""
+    said = [split_advice(str(text)) for text in study.summary.get("shifted", [])]
+    return [Statement(text, "plain", "Data", action=advice) for text, advice in said]
+
+
 def _state_held(study: StudyResults) -> list[Statement]:
     """Return which dimensions are not free, so that others make up for their errors."""
     held = list(map(str, study.summary.get("not_free", {}).get(study.best_name, [])))
@@ -145,16 +154,28 @@ def _state_tolerances(study: StudyResults) -> list[Statement]:
     """
     best, fit = study.best_name, study.fit(study.best_name)
     found = ChiSquare(float(fit["prior_chi2"]), float(fit["prior_dof"]))
-    if not found.is_off or found.factor <= 1.0 or study.summary.get("misstated"):
+    if study.summary.get("misstated"):
         return []
     rows = [row for row in study.rows(ParameterRow, best) if row.verdict != NOISE]
     pulls = {row.parameter: (row.mean - row.nominal) / row.prior_sd for row in rows}
     far = max(pulls, key=lambda key: abs(pulls[key]), default=None)
+    if not found.is_off or found.factor <= 1.0:
+        return [] if far is None else _state_outlier(far, pulls[far], len(pulls))
     which = "" if far is None else f", farthest {far} by {format_significant(pulls[far], 2)}"
     text = f"Deviations from nominal / stated tolerances: {format_significant(found.factor, 2)} (rms){which}."
     action = "Widen these priors or check the model."
     said = Statement(text, _rate(found.factor), "Tolerances", value=found.factor, limit=1.0, action=action)
     return [said, *_state_held(study)]
+
+
+def _state_outlier(name: str, pull: float, among: int) -> list[Statement]:
+    """Say that a parameter, the farthest of so many, is too far from nominal by itself, while all together are not."""
+    limit = float(stats.norm.isf(RARE_PULL / (2.0 * among)))
+    if not abs(pull) > limit:
+        return []
+    text = f"{name} lies {format_significant(pull, 2)} times its tolerance from nominal, the others as expected."
+    action = "Check this part, or widen its prior."
+    return [Statement(text, "warning", "Tolerances", value=abs(pull), limit=limit, action=action)]
 
 
 # --- bounds and coverage ---------------------------------------------------------------------------------------------

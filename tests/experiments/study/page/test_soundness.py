@@ -57,6 +57,7 @@ def misstate(**changes):
         (set_fit(BEST, misfit_chi2=50.0, misfit_dof=200.0), {}, "Noise", "bad", 0.5),
         (spoil_targets, {}, "Noise", "bad", 2.9**0.5),
         (set_fit(BEST, prior_chi2=52.9, prior_dof=10.0), {"parameters": move_far}, "Tolerances", "bad", 2.3),
+        (None, {"parameters": move_far}, "Tolerances", "warning", 4.0),
         (hold, {}, "Tolerances", "bad", 10.0**0.5),
         (misstate(fault="wide tolerance", factor=0.1), {}, "Tolerances", "plain", 0.1),
         (misstate(), {}, "Tolerances", "bad", 10.0),
