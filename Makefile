@@ -9,11 +9,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (two to three minutes on two cores)"
-<<<<<<< HEAD
-	@echo "make real       real machines, really measured: the Hangprinter HP4, the MMT telescope, an FLSun printer (about five minutes)"
-=======
-	@echo "make real       real machines, really measured: the Hangprinter HP4, the MMT telescope, the Jugglebot (about six minutes)"
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
+	@echo "make real       real machines, really measured: six of them (about ten minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make reproduce  the papers: RR-8096, Yu 2023 and Sika 2008, all that their pages in docs name"
 	@echo "make test       environment and the quick tests"
@@ -37,11 +33,8 @@ study: $(STAMP)
 real: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/hangprinter/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/mmt_mount/study.toml
-<<<<<<< HEAD
 	$(THREADS) $(BIN)/bayescal run experiments/flsun_v400/study.toml
-=======
 	$(THREADS) $(BIN)/bayescal run experiments/jugglebot/study.toml
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
 
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \

@@ -270,12 +270,9 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "csv": list_csv_files,
     "urdf": list_urdf_files,
     "genhexkins": list_genhexkins_files,
-<<<<<<< HEAD
     arm_formats.UR_KINEMATICS: arm_formats.list_ur_files,
     **printer_formats.FORMATS,
-=======
     "tpoint": list_tpoint_files,
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
 }
 
 
@@ -288,13 +285,8 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
-<<<<<<< HEAD
         One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, ur_kinematics, klipper, marlin,
-        reprapfirmware; by default that which `load_calibrated` takes again.
-=======
-        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, tpoint; by default that which
-        `load_calibrated` takes again.
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
+        reprapfirmware, tpoint; by default that which `load_calibrated` takes again.
 
     Raises
     ------

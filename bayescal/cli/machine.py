@@ -67,13 +67,9 @@ def export(
     options: MachineOptions,
     name: Annotated[
         str | None,
-<<<<<<< HEAD
-        typer.Option("--format", help="mechanism, parameters, toml, json, csv, urdf, genhexkins, klipper ..."),
-=======
         typer.Option(
-            "--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, genhexkins, tpoint."
+            "--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, klipper, tpoint, ..."
         ),
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,
 ) -> None:

@@ -15,13 +15,10 @@ from typing import Final, Protocol, cast
 from bayescal.errors import InputError
 
 FORMATS: Final[Mapping[str, str]] = {
-<<<<<<< HEAD
     "klipper": "Klipper's printer.cfg of a linear delta",
     "marlin": "M665 and M666 of a linear delta in Marlin or RepRapFirmware",
     "urdf": "an arm in URDF (.urdf)",
-=======
     "tpoint": "a star file of TPOINT (option ALTAZ)",
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
 }
 """What each format is, in words, by the name of its module."""
 

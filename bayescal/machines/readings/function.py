@@ -308,7 +308,6 @@ class ReadingMachine(ABC):
         del parameters
         return v
 
-<<<<<<< HEAD
     def place_tool(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position (..., 3) and axes (..., 3, 3) of the tool in the base frame, as `tool` has them.
 
@@ -322,12 +321,14 @@ class ReadingMachine(ABC):
 
         None by default, where complex steps do; parameters that do not move the tool are left out. Checked against
         complex steps when the machine is read.
-=======
+        """
+        del parameters, v
+        return None
+
     def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]] | None:
         """Return what `bayescal show` draws: points (..., P, 3) in mm, and which of them lines join, by their numbers.
 
         None by default: such a machine cannot be drawn.
->>>>>>> c1b270fed686903f29d2e29000f8baf18622a5dd
         """
         del parameters, v
         return None
