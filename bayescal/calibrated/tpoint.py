@@ -18,7 +18,7 @@ from scipy.stats import qmc
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.machines.readings.base import ReadingModel
-from bayescal.machines.readings.mount import ALTAZIMUTH, DIRECTIONS, Mount
+from bayescal.machines.readings.mount import ALTAZIMUTH, DIRECTIONS, MIRRORED, Mount
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND
 
@@ -40,6 +40,8 @@ def list_tpoint_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         raise InputError(f"format tpoint: found machine {calibrated.name!r}, expected one of kind 'mount'")
     names, n = model.layout.names, model.layout.size
     terms, errors = calibrated.theta[:n] / ARCSECOND, calibrated.sd[:n] / ARCSECOND
+    if machine.from_south:
+        terms = np.where(np.isin(names, MIRRORED), -terms, terms)
     free = np.isin(np.arange(n), calibrated.free)
     directions = _draw_directions(calibrated, model)
     scatter = np.sqrt(np.diagonal(calibrated.errors.covariance(directions[:1], directions[:1])[0])) / ARCSECOND

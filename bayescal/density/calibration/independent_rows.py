@@ -183,8 +183,6 @@ class IndependentRowsLikelihood:
     @property
     def followed(self) -> IndependentRowsLikelihood:
         """The same with readings followed to the pose that a machine takes, whatever the scale of their slopes."""
-        if isinstance(self.bound, BoundModel):
-            return replace(self, bound=replace(self.bound, slope=None, last=[]), scratch=Scratch())
         bound = FollowedBound(self.bound, self.comparison, self.values, self.slope, np.linalg.pinv(self.slope))
         return replace(self, bound=bound, scratch=Scratch())
 

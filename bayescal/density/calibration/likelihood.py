@@ -27,7 +27,8 @@ from bayescal.numerics.threads import map_in_threads
 VOLUME_STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
 GOOD, ROUGH = 0.1, 0.4  # of what the log-density differs by among them: a fast form that is off by it is good, or bad
-CLOSE = 0.01  # the same of readings that follow slopes which are no machine's own form
+CLOSE = 0.001  # the same of readings in no machine's own form, which have a density without it
+FAR_NATS = 300.0  # below the anchor, from where such a form is not asked
 MOST_TURNED = 0.5  # share of these for which slopes have to be near enough to the anchor's
 LEAST_DIFFERENCE = 15.0  # nats that these count at least for: few parameters differ by less than errors of a matrix do
 LEAST_SHARE = 1e-3  # of a variance, that an unknown noise is taken to have
@@ -47,13 +48,14 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
     lone: IndependentRowsLikelihood | None = None
     straight: bool = True
     hidden: bool = True
+    floor: float = -np.inf  # log-density below which machines are too far off for the fast form
     begin: Array | None = (
         None  # (D,): a machine near which that lies which explains the readings; None: the expected one
     )
 
     def pick(self, which: np.ndarray) -> Self:
         """Return the density of the readings of some poses, in no fast form."""
-        return replace(super().pick(which), frozen=None, lone=None)
+        return replace(super().pick(which), frozen=None, lone=None, floor=-np.inf)
 
     @property
     def layout(self) -> ParameterLayout:  # type: ignore[override]
@@ -96,8 +98,15 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def density(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood, shape (B,); see `Elimination.density`."""
+        total = self._weigh(theta, errors, zeta)
+        far = np.flatnonzero(total < self.floor)
+        if len(far):
+            total[far] = self.whole._weigh(theta[far], errors, zeta[far])
+        return total
+
+    def _weigh(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         if self._is_by_row(errors) or not errors.has_columns:
-            return np.asarray(self.density_by_row(theta, errors, zeta).sum(axis=1))
+            return np.asarray(self._weigh_rows(theta, errors, zeta).sum(axis=1))
         total = np.empty(len(theta))
         if self.frozen is not None:
             for part in self.batches(len(theta), MANY_ROWS):
@@ -117,6 +126,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
     def density_by_row(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the log-likelihood of each pose's readings given all others, shape (B, P)."""
+        result = self._weigh_rows(theta, errors, zeta)
+        far = np.flatnonzero(result.sum(axis=1) < self.floor) if np.isfinite(self.floor) else np.empty(0, dtype=int)
+        if len(far):
+            result[far] = self.whole._weigh_rows(theta[far], errors, zeta[far])
+        return result
+
+    def _weigh_rows(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
         result = np.empty((len(theta), self.data.n_poses))
         if self.frozen is not None:
             for part in self.batches(len(theta), MANY_ROWS):
@@ -187,12 +203,12 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
         That of rows by themselves is close enough to be explored; `whole` corrects what was found.
         """
-        return None if self.frozen is None else replace(self, frozen=None, lone=None)
+        return None if self.frozen is None else self.whole
 
     @property
     def whole(self) -> Self:
         """The density in no fast form, which leaves nothing out."""
-        return replace(self, frozen=None, lone=None)
+        return replace(self, frozen=None, lone=None, floor=-np.inf)
 
     @property
     def plain(self) -> Self:
@@ -430,9 +446,9 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         found = near.limited(every, np.where(self.layout.inside(every), error, np.nan))
         frozen = FixedCovarianceRows.build(found, errors, theta)
         single = errors if errors.is_common_known else errors.without(errors.common)
-        assert found.expansion is not None
         # where slopes turn with the machine chords lead nowhere, and poses cost derivatives
-        turns = bool(np.mean(found.expansion.measure(every) <= found.expansion.limit) < MOST_TURNED)
+        nearby = found.expansion is not None and found.expansion.measure(every) <= found.expansion.limit
+        turns = bool(np.mean(nearby) < MOST_TURNED)
         lone = IndependentRowsLikelihood.build(found, single, theta, turns=turns)
         whole = self.data.present.all()
         if frozen is None and lone is not None and (errors.has_factors or not whole):
@@ -440,11 +456,13 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
             lone = None if frozen is None else lone
         fast = replace(found, frozen=frozen, lone=lone)
         off = fast._find_roughness(every, errors)
-        # slopes whose scale changes with the machine, or poses that go far
-        if lone is not None and off > (GOOD if lone.is_own else CLOSE):
+        if lone is not None and lone.is_own and off > GOOD:  # slopes whose scale changes, or poses that go far
             other = replace(fast, lone=lone.followed)
             fast, off = min((fast, off), (other, other._find_roughness(every, errors)), key=lambda one: one[1])
-        if off < ROUGH:
+        if lone is not None and not lone.is_own and off < CLOSE:
+            here = fast.density(theta[None], errors, np.zeros((1, errors.n_parameters)))
+            return replace(fast, floor=float(here[0]) - FAR_NATS)
+        if lone is None or (lone.is_own and off < ROUGH):
             return fast
         return replace(fast, lone=None, frozen=None if frozen is not None and frozen.is_single else frozen)
 
@@ -453,7 +471,8 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
 
         As a share of what these differ by: along ridges that bend they lie far off, and all is off by as much more.
         """
-        if self.lone is None or not (self._is_by_row(errors) or (self.frozen is not None and self.frozen.is_single)):
+        single = self._is_by_row(errors) or (self.frozen is not None and self.frozen.is_single)
+        if self.lone is None or (self.lone.is_own and not single):
             return 0.0
         at = theta, errors, np.zeros((len(theta), errors.n_parameters))
         with np.errstate(all="ignore"):

@@ -187,16 +187,12 @@ class BoundReadings(ABC):
 
 @dataclass(frozen=True, eq=False)
 class BoundModel(BoundReadings):
-    """Readings of a model at poses that stay, as its `ReadingModel.read` has them.
-
-    Where these are moved readings follow the slopes of one machine, or are read again where there are none.
-    """
+    """Readings of a model as its `ReadingModel.read` has them, at poses that stay and again where these are moved."""
 
     places: np.ndarray
     model: ReadingModel
     pose: Array  # (P, q)
     given: Given
-    slope: Array | None  # (P, C, q)
     last: list[tuple[Array, Array]] = field(default_factory=list)  # machines (B, D) and what they read, (B, P, C)
 
     def read(self, theta: Array) -> Array:
@@ -212,8 +208,6 @@ class BoundModel(BoundReadings):
 
     def follow(self, step: Array) -> Array:
         """Return what the machines that were read last read more at poses moved by steps (q, P, B), (C, P, B)."""
-        if self.slope is not None:
-            return np.asarray((self.slope @ step.transpose(1, 0, 2)).transpose(1, 0, 2))
         ((theta, read),) = self.last
         return (self._read(theta, self.pose + step.transpose(2, 1, 0)) - read).transpose(2, 1, 0)
 
@@ -335,9 +329,8 @@ class ReadingModel(ABC):
 
         ``theta`` (D,) is a machine much like those that will be asked for.
         """
-        near = self.near(values)
-        slope = near.linearise(theta, pose, False, given).by_pose
-        return BoundModel(np.arange(len(self.channels)), near, pose, given, slope)
+        del theta
+        return BoundModel(np.arange(len(self.channels)), self.near(values), pose, given)
 
     def straighten(self, known: Coordinates, hidden: bool) -> Coordinates | None:
         """Return coordinates of the free parameters in which ridges of posteriors are straight, from those as they are.

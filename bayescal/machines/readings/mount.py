@@ -8,7 +8,9 @@ program TPOINT). Of a mount of azimuth A, from north through east, and elevation
     dE =  IE - AN cos A + AW sin A - TF cos E - TX cot E:
 
 zeros of both encoders, the tilt of the azimuth axis to the north and to the west, axes that are not square, a tube that
-is not square to the elevation axis, flexure of the tube as its sine and as its cotangent. Of an equatorial mount at
+is not square to the elevation axis, flexure of the tube as its sine and as its cotangent. Azimuths that are counted
+from south through east go into the formula as they are, which is how the MMT's own program has them: IA, AN, CA and
+NPAE are then of the other sign than from north. Of an equatorial mount at
 latitude φ, with the hour angle h, to the west, and the declination δ, it is
 
     dh = IH + (NP + ME sin h - MA cos h) tan δ + CH / cos δ + TF cos φ sin h / cos δ - DAF (cos φ cos h + sin φ tan δ),
@@ -44,6 +46,8 @@ TERMS: Final = {
 """Terms by the mount's axes, as TPOINT calls them."""
 DIRECTIONS: Final = {ALTAZIMUTH: ("azimuth", "elevation"), "equatorial": ("hour_angle", "declination")}
 """Angles of a direction on the sky by the mount's axes."""
+MIRRORED: Final = ("IA", "AN", "CA", "NPAE")
+"""Terms that are of the other sign where azimuth is counted from south instead of north."""
 
 PIER, ACROSS, ALONG = 1000.0, 0.3, 0.5
 """How long a drawing has the pier, mm, as the tube; half the second axis and the first one in its units."""
@@ -61,7 +65,9 @@ class MountConfig(Section):
     elevation_deg: Ends = Field(default=[15.0, 85.0])
     """Smallest and largest elevation where accuracy counts, both between 0 and 90."""
     azimuth_from: Literal["south", "north"] = "north"
-    """Where azimuth is zero; it grows through east."""
+    """Where azimuth is zero; it grows through east. Azimuths from south go into the formula of the terms as they are:
+    IA, AN, CA and NPAE are of the other sign then.
+    """
     hour_angle_deg: Ends = Field(default=[-75.0, 75.0])
     """Smallest and largest hour angle where accuracy counts, growing to the west; of an equatorial mount."""
     declination_deg: Ends = Field(default=[-30.0, 80.0])
@@ -117,9 +123,6 @@ class Mount(ReadingMachine):
         one, other = v[..., 0], v[..., 1]
         if self.axes != ALTAZIMUTH:
             along, across = correct_equatorial(parameters, one, other, self.latitude)
-        elif self.from_south:  # counted the other way round
-            along, across = correct_altazimuth(parameters, np.pi - one, other)
-            along = -along
         else:
             along, across = correct_altazimuth(parameters, one, other)
         return np.stack(np.broadcast_arrays(one - along, other - across, one, other), axis=-1)

@@ -11,6 +11,7 @@ import guided_machines as guided
 import hexapods
 import numpy as np
 import pytest
+import studies
 import telescope_machines as machines
 from calibration_problems import climb
 
@@ -20,7 +21,10 @@ from bayescal.density.calibration.terms import NO_ERRORS, CorrelatedNoise, Error
 from bayescal.density.outliers import Contaminated, StudentT
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior, SharePrior
+from bayescal.experiments.runner.load import load_experiment
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.exploration import explore
+from bayescal.inference.mode import find_modes
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.readings import BoundReadings, Legs, Tracker
 from bayescal.machines.readings.placed import place
@@ -246,3 +250,30 @@ def test_followed_readings_do_not_hang_on_the_scale_of_their_slopes():
         off.append(float(np.abs(there - here).max()))
     assert off[0] > 1.0
     assert off[1] < 1e-9
+
+
+@pytest.mark.parametrize("change", ["whole", "missing"])
+def test_an_arm_seen_by_a_tracker_is_followed_to_where_its_commands_lead(change, rng):
+    """A machine whose slopes turn, which binds nothing itself: near its best the density is the whole one."""
+    inputs = StudyInputs.load(
+        load_experiment(studies.EXPERIMENTS / "ur10" / "study.toml"), studies.EXPERIMENTS / "ur10"
+    )
+    posterior = inputs.variants["links"].posterior()
+    if change == "missing":
+        data = posterior.likelihood.data
+        values = data.values.copy()
+        values[4, -1] = values[9, -2] = np.nan
+        posterior = replace(posterior, likelihood=replace(posterior.likelihood, data=replace(data, values=values)))
+    posterior = posterior.with_pose_guesses()
+    likelihood = posterior.likelihood
+    assert not likelihood.lone.is_own
+    assert likelihood.frozen.is_single
+    mode = find_modes(posterior)[0].y
+    _, hessian = posterior.gradient(mode)
+    moves = rng.standard_normal((len(mode), 20))
+    at = posterior.at(mode + np.linalg.solve(np.linalg.cholesky(-hessian).T, moves).T)
+    whole = likelihood.whole.density(*at)
+    assert np.ptp(whole) > 5.0
+    np.testing.assert_allclose(likelihood.density(*at), whole, atol=0.1)
+    far = posterior.at(mode + 0.3 * rng.standard_normal((3, len(mode))))  # where the fast form is not asked
+    np.testing.assert_allclose(likelihood.density(*far), likelihood.whole.density(*far), rtol=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import calibrations
@@ -331,6 +332,7 @@ def test_a_tracked_pose_in_the_base_frame_is_legs_own(tmp_path):
     assert one.n_parameters == two.n_parameters
     y = one.least_squares_start() + 0.05 * np.random.default_rng(6).standard_normal((6, one.n_parameters))
     np.testing.assert_allclose(two.natural(y), one.natural(y), rtol=1e-12)
+    one, two = (replace(it, likelihood=it.likelihood.whole) for it in (one, two))
     np.testing.assert_allclose(two.pointwise(y), one.pointwise(y), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(two.log_density(y), one.log_density(y), rtol=1e-9)
 

@@ -54,14 +54,12 @@ def find_correction(axes, one, other, **terms):
 @pytest.mark.parametrize("start", ["south", "north"])
 def test_encoders_read_the_sky_less_the_correction(start, rng):
     term, azimuth, elevation = 1e-3 * rng.standard_normal(8), rng.uniform(-3, 3, 20), rng.uniform(0.3, 1.4, 20)
-    sky = azimuth if start == "north" else np.pi - azimuth
     terms = dict(zip(TERMS[ALTAZIMUTH], term, strict=True))
-    read = build(ALTAZIMUTH, start).read(terms, np.stack([sky, elevation], axis=-1), {})
+    read = build(ALTAZIMUTH, start).read(terms, np.stack([azimuth, elevation], axis=-1), {})
     across, along = correct(term, azimuth, elevation)
-    turned = (read[:, 0] if start == "north" else np.pi - read[:, 0]) - azimuth
-    np.testing.assert_allclose(turned, -across, atol=1e-12)
+    np.testing.assert_allclose(read[:, 0] - azimuth, -across, atol=1e-12)
     np.testing.assert_allclose(read[:, 1] - elevation, -along, atol=1e-12)
-    np.testing.assert_allclose(read[:, 2:], np.stack([sky, elevation], axis=-1))
+    np.testing.assert_allclose(read[:, 2:], np.stack([azimuth, elevation], axis=-1))
 
 
 def test_encoders_of_hour_angle_and_declination_read_the_sky_less_the_correction(rng):
@@ -139,8 +137,8 @@ def test_sections_that_make_no_sense_are_refused(keys, said):
 def test_a_measured_telescope_has_the_terms_of_least_squares():
     table = pd.read_csv(MMT / "data" / "stars.csv", comment="#")
     azimuth, elevation, *encoder = np.radians(table.drop(columns="pose").to_numpy().T)
-    across = (encoder[0] - azimuth + np.pi) % (2.0 * np.pi) - np.pi  # counted from north
-    columns = zip(*(correct(one, np.pi - azimuth, elevation) for one in np.eye(8)), strict=True)
+    across = (azimuth - encoder[0] + np.pi) % (2.0 * np.pi) - np.pi
+    columns = zip(*(correct(one, azimuth, elevation) for one in np.eye(8)), strict=True)  # as counted, from south
     slopes = [np.stack(part) for part in columns]
     inputs = StudyInputs.load(load_experiment(MMT / "study.toml"), MMT)
     posterior = inputs.variants["eight"].posterior().with_pose_guesses()
@@ -188,11 +186,7 @@ PEER = {
     "noise_factor(azimuth_axis)": (1.77 / 2.0, 0.23 / 2.0),
     "noise_factor(elevation_axis)": (0.82, 0.11),
 }
-"""Means and standard deviations of 8,000 draws of PyMC 5.28 (NUTS) from the same density, arcsec; of 42 stars.
-
-It puts azimuths from south into the formula as they are: IA, AN, CA and NPAE have the other sign.
-"""
-MIRRORED = ("IA", "AN", "CA", "NPAE")
+"""Means and standard deviations of 8,000 draws of PyMC 5.28 (NUTS) from the same density, arcsec; of 42 stars."""
 
 
 @pytest.mark.runs
@@ -212,6 +206,6 @@ def test_a_measured_telescope_has_the_posterior_of_another_library(call, tmp_pat
     assert set(PEER) == set(found.index)
     for name, (mean, sd) in PEER.items():
         unit = ARCSECOND if found.loc[name, "unit"] == "rad" else 1.0
-        own = (-1.0 if name in MIRRORED else 1.0) * found.loc[name, "mean"] / unit
+        own = found.loc[name, "mean"] / unit
         assert own == pytest.approx(mean, abs=0.1 * sd + 0.005), name
         assert found.loc[name, "sd"] / unit == pytest.approx(sd, abs=0.05 * sd + 0.005), name  # of two digits
