@@ -13,9 +13,9 @@ from deltas import build_delta, trilaterate
 from refusals import line_of
 from scipy.optimize import least_squares
 
+from bayescal.calibrated.carried import describe_carried
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import CommandErrors, Source, build_calibrated
-from bayescal.calibrated.carried import describe_carried
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import FunctionModel
 
