@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from refusals import line_of
-from urdf_arms import JOINTS, PANDA, SMALL, list_masses, place_links, write_small
+from serial_arms import JOINTS, PANDA, SMALL, list_masses, multiply, place_links, write_small
 
 from bayescal.errors import InputError
 from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
@@ -88,29 +88,6 @@ def test_a_chain_runs_between_links_that_are_named(tmp_path, rng):
 # --- Denavit and Hartenberg ------------------------------------------------------------------------------------------
 
 
-def multiply(row: DenavitRow, q: float, modified: bool) -> np.ndarray:
-    """Return a row's matrix as textbooks print it: Denavit and Hartenberg's, or Craig's."""
-    (st_, ct), (sa, ca) = ((np.sin(x), np.cos(x)) for x in (q + row.theta, row.alpha))
-    a, d = row.a, row.d
-    if modified:
-        return np.array(
-            [
-                [ct, -st_, 0.0, a],
-                [st_ * ca, ct * ca, -sa, -sa * d],
-                [st_ * sa, ct * sa, ca, ca * d],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-    return np.array(
-        [
-            [ct, -st_ * ca, st_ * sa, a * ct],
-            [st_, ct * ca, -ct * sa, a * st_],
-            [0.0, sa, ca, d],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-
-
 @pytest.mark.parametrize("modified", [False, True])
 def test_rows_are_the_product_of_textbooks(modified, rng):
     rows = [DenavitRow(*x) for x in rng.uniform(-1.0, 1.0, (6, 4)) * [300.0, 400.0, 3.0, 3.0]]
@@ -120,7 +97,7 @@ def test_rows_are_the_product_of_textbooks(modified, rng):
     for q in rng.uniform(-3.0, 3.0, (5, 6)):
         product = np.eye(4)
         for row, value in zip(rows, q, strict=True):
-            product = product @ multiply(row, value, modified)
+            product = product @ multiply(row.d, row.a, row.alpha, row.theta + value, modified)
         found = follow(chain, q)[-1]
         np.testing.assert_allclose(found.position, product[:3, :3] @ tip.position + product[:3, 3], atol=NANOMETRE)
         np.testing.assert_allclose(found.axes, product[:3, :3] @ tip.axes, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Arms in URDF: a small one with all that such files may have, and where links stand, by a reader of its own.
+"""Serial arms: a small one in URDF with all that such files may have, and where links stand, by a reader of its own.
 
 The reader knows nothing of chains: it walks from the root to every link, by products of 4 x 4 matrices in metres.
 """
@@ -12,6 +12,10 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import studies
 from scipy.spatial.transform import Rotation
+
+from bayescal.config.load import FOLDER
+from bayescal.files.memory import MemoryPath
+from bayescal.machines.readings.arm import Arm, ArmConfig
 
 PANDA = studies.EXPERIMENTS / "panda_socket" / "panda.urdf"
 SMALL = """<?xml version="1.0"?>
@@ -118,3 +122,31 @@ def write_small(folder: Path, text: str = SMALL) -> Path:
     path = folder / "small.urdf"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def multiply(d: float, a: float, alpha: float, theta: float, modified: bool) -> np.ndarray:
+    """Return the matrix of a row as textbooks print it: Denavit and Hartenberg's, or Craig's."""
+    (st, ct), (sa, ca) = ((np.sin(x), np.cos(x)) for x in (theta, alpha))
+    if modified:
+        return np.array(
+            [
+                [ct, -st, 0.0, a],
+                [st * ca, ct * ca, -sa, -sa * d],
+                [st * sa, ct * sa, ca, ca * d],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+    return np.array(
+        [
+            [ct, -st * ca, st * sa, a * ct],
+            [st, ct * ca, -ct * sa, a * st],
+            [0.0, sa, ca, d],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def build_arm(text: str = SMALL, **section) -> Arm:
+    """Return the small arm, or that of another text, as a machine that carries something."""
+    folder = MemoryPath(".", files={"small.urdf": text.encode()})
+    return Arm(ArmConfig.model_validate({"urdf": "small.urdf", "payload_kg": 2.0, **section}, context={FOLDER: folder}))
