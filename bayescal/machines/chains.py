@@ -8,6 +8,7 @@ moves; the tip stands at O_tip in that of the last joint,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ MM = 1e3  # per metre
 MOVING = ("revolute", "continuous", "prismatic")
 FURTHEST = 1e5  # mm from one joint to the next, beyond which a file is in another unit
 SHORTEST_AXIS = 1e-9
+LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still
 
 
@@ -150,6 +152,11 @@ def read_xml(path: Path) -> Element:
     except (LookupError, ValueError) as error:  # encodings that Python does not know, or expat
         raise InputError(f"{path}, line 1: {' '.join(str(error).split())}, expected XML in UTF-8") from error
     return roots[0]
+
+
+def name_arm(path: Path) -> str:
+    """Return what the arm of a file is called in configs."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem)[:LONGEST_NAME] or "arm"
 
 
 def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
