@@ -9,7 +9,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 help:
 	@echo "make study      the telescope study: environment, run, ranking, report (two to three minutes on two cores)"
-	@echo "make real       real machines, really measured: the Hangprinter HP4, the MMT telescope, an FLSun printer (about five minutes)"
+	@echo "make real       real machines, really measured: the Hangprinter HP4, the MMT telescope, an FLSun printer, arms UR10 and Panda (about ten minutes)"
 	@echo "make audits     all shipped identifiability audits"
 	@echo "make reproduce  the papers: RR-8096, Yu 2023 and Sika 2008, all that their pages in docs name"
 	@echo "make test       environment and the quick tests"
@@ -34,6 +34,8 @@ real: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/hangprinter/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/mmt_mount/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/flsun_v400/study.toml
+	$(THREADS) $(BIN)/bayescal run experiments/ur10/study.toml
+	$(THREADS) $(BIN)/bayescal run experiments/panda_socket/study.toml
 
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \
