@@ -251,6 +251,9 @@ def test_a_measured_arm_is_calibrated_by_a_ball_in_sockets(call, tmp_path):
     assert len(rows) == 3 * 36  # of six sockets
     assert rms_of(rows) == pytest.approx(1.27, abs=0.02)  # mm; as drawn 8.2 to 10.8
     assert 0.84 < rows["in_interval_90"].mean() < 0.96
+    poses = pd.read_csv(tmp_path / "panda" / "out" / "tables" / "pose_errors.csv", comment="#")
+    assert len(poses) == 182
+    assert poses["position_error_mm"].notna().all()  # by whichever socket
 
 
 @pytest.mark.slow
