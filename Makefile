@@ -35,6 +35,8 @@ real: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/mmt_mount/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/flsun_v400/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/jugglebot/study.toml
+	$(THREADS) $(BIN)/bayescal run experiments/panda_socket/study.toml
+	$(THREADS) $(BIN)/bayescal run experiments/ur10/study.toml
 
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \

@@ -20,6 +20,7 @@ from bayescal.config.trust import vouch
 from bayescal.errors import InputError
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
+from bayescal.machines.chains import name_arm
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
@@ -127,7 +128,8 @@ def load_machine(machine: AnyMachine, *, base: str = "", tip: str = "") -> Machi
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}, expected a URDF file") from error
         named = {key: value for key, value in (("base", base), ("tip", tip)) if value}
-        arm = {"kind": "arm", "name": path.stem, "title": path.stem, "machine": {"urdf": path.name, **named}}
+        name = name_arm(path)
+        arm = {"kind": "arm", "name": name, "title": name, "machine": {"urdf": path.name, **named}}
         files[MACHINE] = write_toml(arm).encode()
         return MachineFiles(files, MACHINE, read_reading_model(MemoryPath(MACHINE, files=files)))
     if isinstance(machine, str | Path):

@@ -9,6 +9,7 @@ import own_arm
 import studies
 from deltas import build_delta, build_rotary_delta
 from function_machines import point_on_lines
+from serial_arms import build_arm
 from sliding_platforms import build, make_content, sliding_star, star_of
 
 from bayescal.machines.deformations import DEFORMATIONS, NominalDeformation
@@ -27,6 +28,7 @@ from bayescal.machines.readings.placed import (
     PoseInstrument,
 )
 from bayescal.machines.readings.places import TwoPlaces
+from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 
 LEGS = {
@@ -92,6 +94,9 @@ TURNING = {
     "coupled legs with gains": lambda: build_legs("coupled").with_optional(["gain"]),
     "m2 struts": lambda: read("experiments/m2_hexapod_table/machine.toml"),
     "sliding platform": sliding_star,
+    "arm of rows": lambda: read("experiments/ur10/machine.toml"),
+    "arm of a URDF file": lambda: read("experiments/panda_socket/machine.toml"),
+    "arm that slides and sags": lambda: FunctionModel("small", build_arm()),
     "turning arm": lambda: FunctionModel("arm", TurningArm(None)),
     "turning arm at two places": lambda: FunctionModel("arm", TwoPlaces(TurningArm(None))),
 }
@@ -117,6 +122,7 @@ def build_instruments(turned: bool) -> dict:
     found = {
         "station": PointInstrument(PointConfig(**FRAME, **target)),
         "bar": DistanceInstrument(DistanceConfig(anchor_mm=[500.0, 600.0, -100.0], zero_mm=3.0, **target)),
+        "socket": SocketInstrument(SocketConfig(place_mm=[300.0, -200.0, 100.0], **target)),
     }
     pose = PoseConfig(**FRAME, target_mm=TURNED, target_deg=[5.0, 6.0, 170.0])
     return found | ({"camera": PoseInstrument(pose)} if turned else {})

@@ -376,6 +376,8 @@ def test_every_shipped_experiment_is_run_here():
         *(f"sliding_star/{name}.toml" for name in SLIDING_STAR),  # in calibration/test_sliding_star.py
         *(f"hangprinter/{name}.toml" for name in ("machine", "hanging", "forces", "study")),  # in test_hangprinter
         *(f"flsun_v400/{name}.toml" for name in FLSUN),  # in machines/readings/test_delta.py
+        *(f"ur10/{name}.toml" for name in ("machine", "study", "study_300")),  # in machines/readings/test_arm.py
+        *(f"panda_socket/{name}.toml" for name in ("machine", "study")),  # there, too
         *(f"mmt_mount/{name}.toml" for name in ("machine", "study")),  # in machines/readings/test_mount.py
         *(f"jugglebot/{name}.toml" for name in ("drawn", "mechanism", "study")),  # in calibration/test_jugglebot.py
         *(

@@ -51,7 +51,10 @@ def list_arm_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     else:
         name = (PurePosixPath(calibrated.machine_file).parent / arm.config.urdf).as_posix()
         parser = Xml.XMLParser(target=Xml.TreeBuilder(insert_comments=True))
-        robot = Xml.fromstring(calibrated.files[name], parser)
+        try:
+            robot = Xml.fromstring(calibrated.files[name], parser)
+        except Xml.ParseError as error:  # prefixes that it does not declare
+            raise InputError(f"format {URDF}: {arm.config.urdf}: found {error}, expected XML with its names") from error
         _correct_robot(robot, arm, *_read_errors(held))
     said = [*calibrated.source.describe(), held.description, "Lengths in m, angles in rad."]
     for k, line in enumerate(said):
@@ -142,14 +145,15 @@ def _move(position: Array, vector: Array) -> Place:
 
 def _correct_robot(robot: Xml.Element, arm: Arm, places: Sequence[Place], tool: Place) -> None:
     """Put errors into the origins of a robot's joints, in place."""
-    named = {one.get("name"): one for one in robot.iter("joint")}
+    # a transmission names joints by elements of the same tag
+    named = {one.get("name"): one for one in robot.findall("joint")}
     for joint, error in zip(arm.chain.joints, places, strict=True):
         _shift_origin(named[joint.name], _turn_back(joint, error))
-    above = {one.find("child").get("link"): one for one in robot.iter("joint")}  # type: ignore[union-attr]
+    above = {one.find("child").get("link"): one for one in robot.findall("joint")}  # type: ignore[union-attr]
     tip = arm.config.tip or next(
         name
         for name in above
-        if name not in {one.find("parent").get("link") for one in robot.iter("joint")}  # type: ignore[union-attr]
+        if name not in {one.find("parent").get("link") for one in robot.findall("joint")}  # type: ignore[union-attr]
     )
     last = above[tip]
     if last.get("type") == "fixed":

@@ -31,6 +31,13 @@ class Prediction:
         """Return the prediction at some of the poses."""
         return Prediction(**{name: values[chosen] for name, values in vars(self).items()})
 
+    def fill(self, other: Prediction, where: np.ndarray) -> Prediction:
+        """Return the prediction with that of others at some of the poses, (P,)."""
+        parts = {name: values.copy() for name, values in vars(self).items()}
+        for name, values in parts.items():
+            values[where] = getattr(other, name)[where]
+        return Prediction(**parts)
+
     @property
     def position_error(self) -> Array:
         """Distance between measured and predicted position, shape (P,), mm."""

@@ -7,17 +7,18 @@ seen at configurations all over these.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from bayescal.config.load import FOLDER
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
 from bayescal.files.toml import write_toml
 from bayescal.importers import Project
-from bayescal.machines.chains import read_urdf
+from bayescal.machines.chains import name_arm, read_urdf
 from bayescal.machines.readings.arm import Arm, ArmConfig
 from bayescal.machines.readings.function import FunctionModel
 from bayescal.numerics.geometry import Array
@@ -26,6 +27,7 @@ SOCKET, TRACKER = "socket", "tracker"
 OPTIONS: Final = ("base", "tip", "instrument")
 N_POSES, TRIES, STEPS = 40, 2000, 60
 NEAR_MM = 1e-4
+SAME = 3  # digits of rad or mm, to which configurations are the same
 LONGEST_MM = 1e5
 INNER = 0.95  # of the joints' ranges
 DAMPING, LONGEST_STEP = 10.0, 0.3  # mm²; rad or mm
@@ -43,8 +45,7 @@ variants = [                             # the first joint's frame is the base's
 
 {instruments}
 [sensors]
-joint = {{ noise_deg = 0.02 }}             # how well the joints repeat
-{noise}
+{repeats}{noise}
 [units]
 angle = "deg"
 
@@ -54,10 +55,11 @@ y = {{ prior = "normal", sd = 1.0 }}
 rx = {{ prior = "normal", sd = 0.25 }}
 ry = {{ prior = "normal", sd = 0.25 }}
 offset = {{ prior = "normal", sd = 0.5 }}
-tool = {{ prior = "normal", sd = 2.0 }}
+{zeros}tool = {{ prior = "normal", sd = 2.0 }}
 {parameters}"""
 
 
+REPEATS = "# how well the joints repeat"
 NOWHERE = "[instruments]                            # nobody has to know where it stands\n"
 
 
@@ -75,23 +77,24 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
         raise InputError(f"--option instrument: found {instrument!r}, expected {SOCKET} or {TRACKER}")
     chain = read_urdf(path, options.get("base", ""), options.get("tip", ""))
     section = {key: options[key] for key in ("base", "tip") if key in options}
-    config = ArmConfig.model_validate({"urdf": path.name, **section}, context={"folder": path.parent})
-    model = FunctionModel(path.stem, Arm(config))
+    config = ArmConfig.model_validate({"urdf": path.name, **section}, context={FOLDER: path.parent})
+    name = name_arm(path)
+    model, file = FunctionModel(name, Arm(config)), f"{name}.urdf"
     reach = np.linalg.norm(model.tool_values(model.layout.nominal, model.home_pose)[:3])
     if reach > LONGEST_MM:
         raise InputError(f"{path}: found a tip {reach / 1e3:.0f} m from the base, expected lengths in metres")
     n, names = len(chain.joints), ", ".join(one.name for one in chain.joints)
     place = _choose_place(model)
     rows = _seat(model, place) if instrument == SOCKET else _spread(model, N_POSES)
-    content = {"kind": "arm", "name": path.stem, "title": path.stem, "machine": {"urdf": path.name, **section}}
+    content = {"kind": "arm", "name": name, "title": name, "machine": {"urdf": file, **section}}
     columns = ["pose", *(f"{one.name}_{one.unit}" for one in model.coordinates)]
     said = ["Configurations of the arm to measure at, drawn at random within its joints' limits."]
     cells = [[f"P{k:03d}", *(f"{x:.6f}" for x in row)] for k, row in enumerate(rows, start=1)]
     files = {
-        path.name: text.encode(),
+        file: path.read_bytes(),
         "machine.toml": write_toml(content).encode(),
         "configurations.csv": format_table(said, columns, cells).encode(),
-        "audit.toml": _write_audit(path.stem, instrument, n, place).encode(),
+        "audit.toml": _write_audit(name, instrument, [one.slides for one in chain.joints], place).encode(),
     }
     found = (
         f"{n} joints from base to tip: {names}",
@@ -100,10 +103,20 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     return Project(files, found, "bayescal audit audit.toml")
 
 
-def _write_audit(name: str, instrument: str, n: int, place: Array) -> str:
-    first = [f"{symbol}[1]" for symbol in ("x", "y", "rx", "ry", "offset")]
-    fixed = ", ".join(f'"{one}"' for one in [*first, f"offset[{n}]"])
-    filled = {"fixed": fixed, "name": name, "title": name}
+def _write_audit(name: str, instrument: str, slides: Sequence[bool], place: Array) -> str:
+    n, known = len(slides), [f"{symbol}[1]" for symbol in ("x", "y", "rx", "ry", "offset")]
+    known.append(f"offset[{n}]")
+    repeats, zeros = f"joint = {{ noise_deg = 0.02 }}             {REPEATS}\n", ""
+    if any(slides):  # whose zero is z, and whose axis is a direction without a place
+        slide = dict(enumerate(slides, start=1))
+        known += [f"{one}[{k}]" for k in slide if slide[k] for one in "xy"]
+        known += [f"z[{k}]" for k in slide if k == 1 or not slide[k]]
+        kinds = {False: "noise_deg = 0.02", True: "noise_mm = 0.05"}
+        repeats = "".join(f'"joint[{k}]" = {{ {kinds[slide[k]]} }}       {REPEATS}\n' for k in slide)
+        zeros = 'z = { prior = "normal", sd = 1.0 }\n' if any(slides[1:]) else ""
+        known = [one for one in known if zeros or not one.startswith("z")]
+    fixed = ", ".join(f'"{one}"' for one in dict.fromkeys(known))
+    filled = {"fixed": fixed, "name": name, "title": name, "repeats": repeats, "zeros": zeros}
     if instrument == TRACKER:
         section = '[instruments.tracker]\nkind = "point"\nframe_mm = [0.0, 0.0, 0.0]\nframe_deg = [0.0, 0.0, 0.0]\n'
         wide = 'tracker_frame = { prior = "normal", sd = 1000.0 }\ntracker_frame_r = { prior = "normal", sd = 30.0 }\n'
@@ -146,6 +159,8 @@ def _seat(model: FunctionModel, place: Array) -> Array:
         pose = pose + np.clip(step[..., 0], -LONGEST_STEP, LONGEST_STEP)
     apart = np.linalg.norm(model.tool_values(theta, pose)[:, :3] - place, axis=1)
     good = pose[(apart < NEAR_MM) & (np.abs(pose - home) <= half).all(axis=1)]
-    if len(good) < N_POSES:
-        raise InputError(f"socket at {place} mm: found {len(good)} configurations that reach it, expected {N_POSES}")
-    return np.asarray(good[:N_POSES])
+    _, first = np.unique(good.round(SAME), axis=0, return_index=True)  # three joints reach it one way, or a few
+    if len(first) < N_POSES:
+        found = f"socket at {place} mm: found {len(first)} configurations that reach it, expected {N_POSES}"
+        raise InputError(f"{found}, or --option instrument={TRACKER}")
+    return np.asarray(good[np.sort(first)[:N_POSES]])

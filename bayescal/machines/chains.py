@@ -8,6 +8,7 @@ moves; the tip stands at O_tip in that of the last joint,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +24,8 @@ MM = 1e3  # per metre
 MOVING = ("revolute", "continuous", "prismatic")
 FURTHEST = 1e5  # mm from one joint to the next, beyond which a file is in another unit
 SHORTEST_AXIS = 1e-9
+LONGEST_NAME = 40
+LARGEST = 1e100  # whose square is a number still
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +149,14 @@ def read_xml(path: Path) -> Element:
         raise InputError(f"{path}, line {error.lineno}: {expat.ErrorString(error.code)}, expected XML") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a URDF file") from error
+    except (LookupError, ValueError) as error:  # encodings that Python does not know, or expat
+        raise InputError(f"{path}, line 1: {' '.join(str(error).split())}, expected XML in UTF-8") from error
     return roots[0]
+
+
+def name_arm(path: Path) -> str:
+    """Return what the arm of a file is called in configs."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem)[:LONGEST_NAME] or "arm"
 
 
 def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
@@ -161,9 +171,9 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
     for one in root.children:
         if one.tag.startswith("xacro:"):
             raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: expand it with xacro first")
-    links = {one.attributes.get("name", ""): one for one in root.children if one.tag == "link"}
+    links, joints = (_index(path, root, tag) for tag in ("link", "joint"))
     into = dict[str, Element]()
-    for one in (child for child in root.children if child.tag == "joint"):
+    for one in joints.values():
         parent, child = (_name_link(path, one, tag) for tag in ("parent", "child"))
         for name in (parent, child):
             if name not in links:
@@ -183,6 +193,16 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
         chosen.insert(0, into[here])
         here = _name_link(path, into[here], "parent")
     return _make_chain(path, chosen, links)
+
+
+def _index(path: Path, root: Element, tag: str) -> dict[str, Element]:
+    """Return a robot's elements of a tag by their names."""
+    found = dict[str, Element]()
+    for one in (child for child in root.children if child.tag == tag):
+        if _name(one) in found:
+            raise InputError(f"{path}, line {one.line}: found a second {tag} {_name(one)!r}, expected unique names")
+        found[_name(one)] = one
+    return found
 
 
 def _choose(path: Path, what: str, name: str, links: Mapping[str, Element], ends: Sequence[str]) -> str:
@@ -239,7 +259,7 @@ def _read_numbers(path: Path, element: Element, key: str, default: str, n: int) 
         found = np.array([float(one) for one in text.split()])
     except ValueError:
         found = np.array([np.nan])
-    if len(found) != n or not np.isfinite(found).all():
+    if len(found) != n or not (np.abs(found) < LARGEST).all():
         expected = "a number" if n == 1 else f"{n} numbers"
         raise InputError(f"{path}, line {element.line}: {key}: found {text!r}, expected {expected}")
     return found
@@ -279,7 +299,10 @@ def _align(axis: Array) -> Array:
 
 def _read_ends(path: Path, joint: Element, kind: str) -> tuple[float, float]:
     limit = joint.find("limit")
-    if limit is None or kind == "continuous" or not {"lower", "upper"} & set(limit.attributes):
+    if kind == "prismatic" and limit is None:
+        where = f"{path}, line {joint.line}: joint {_name(joint)!r}"
+        raise InputError(f"{where}: found no limit, expected one of a joint that slides")
+    if limit is None or kind == "continuous" or (kind == "revolute" and not {"lower", "upper"} & set(limit.attributes)):
         return -np.inf, np.inf
     unit = MM if kind == "prismatic" else 1.0
     low, high = (unit * float(_read_numbers(path, limit, key, "0", 1)[0]) for key in ("lower", "upper"))
@@ -294,7 +317,10 @@ def _read_mass(path: Path, link: Element) -> tuple[float, Array]:
     found = None if inertial is None else inertial.find("mass")
     if inertial is None or found is None:
         return 0.0, np.zeros(3)
-    return float(_read_numbers(path, found, "value", "0", 1)[0]), _read_place(path, inertial).position
+    mass = float(_read_numbers(path, found, "value", "0", 1)[0])
+    if mass < 0.0:
+        raise InputError(f"{path}, line {found.line}: mass: found {mass:g} kg, expected none below zero")
+    return mass, _read_place(path, inertial).position
 
 
 def _add_mass(joint: Joint, mass: float, centre: Array) -> Joint:

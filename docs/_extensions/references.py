@@ -22,7 +22,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 import bayescal
-from bayescal.config.load import read_toml
+from bayescal.config.load import FOLDER, read_toml
 from bayescal.config.registry import find_class, list_references
 from bayescal.config.sections import FileMark, Section
 from bayescal.experiments import USES
@@ -193,7 +193,8 @@ def read_shipped(path: Path) -> Iterator[BaseModel]:
     elif isinstance(content.get("machine"), dict) and "seed" not in content:
         yield MachineFileConfig.model_validate({key: one for key, one in content.items() if key != "machine"})
         own = find_class("MACHINES", kind, ReadingMachine, "kind", path, path.parent)
-        yield getattr(own, "Config", Section).model_validate(content["machine"])
+        section = getattr(own, "Config", Section)
+        yield section.model_validate(content["machine"], context={FOLDER: path.parent})
     elif "legs" in content:
         yield MechanismConfig.model_validate(content)
     else:

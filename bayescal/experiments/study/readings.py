@@ -71,6 +71,7 @@ from bayescal.experiments.study.tables import (
     describe_solutions,
     find_seen,
     join_tables,
+    list_seen,
     tabulate_comparison,
     tabulate_legs,
     tabulate_parameters,
@@ -250,6 +251,11 @@ def _predict_poses(
     every, some = np.ones(variant.data.n_poses, dtype=bool), y[spread(len(y), POSE_DRAWS)]
     with np.errstate(all="ignore"):
         found = predict_poses(posterior, variant.likelihood(every), some, rng, internal, seen, y)
+        for other in list_seen(variant.model)[1:]:  # another target, or instrument, saw poses that the first did not
+            unseen = np.isnan(found.error).all(axis=1)
+            if (unseen & variant.data.present[:, [k for k in other if k is not None]].any(axis=1)).any():
+                more = predict_poses(posterior, variant.likelihood(every), some, rng, internal, other, y)
+                found = found.fill(more, unseen)
     return found if np.isfinite(found.error).any() else None
 
 

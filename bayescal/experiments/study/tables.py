@@ -227,18 +227,23 @@ def find_seen(model: ReadingModel) -> list[int | None]:
     Channels are a position where their names end with different axes and share all else, as ``cam_x`` and ``cam_y``,
     ``tracker[x]`` or ``x[1]``: of several targets that of the first, of which most axes are seen.
     """
-    outside = [(k, one) for k, one in enumerate(model.channels) if one.external]
-    found: list[int | None] = [None] * len(COMPONENTS)
-    targets: dict[str, dict[str, int]] = {}
-    for k, one in outside:
-        if one.unit == "mm" and (named := AXIS.fullmatch(one.name)):
-            targets.setdefault(named["before"] + named["after"], {}).setdefault(named["axis"].lower(), k)
-    for axis, k in max(targets.values(), key=len, default={}).items():
-        found["xyz".index(axis)] = k
-    turned = [k for k, one in outside if one.rotation][:3]
+    nothing: list[int | None] = [None] * len(COMPONENTS)
+    found = next(iter(list_seen(model)), nothing)
+    turned = [k for k, one in enumerate(model.channels) if one.external and one.rotation][:3]
     if len(turned) == 3:
         found[3:] = turned
     return found
+
+
+def list_seen(model: ReadingModel) -> list[list[int | None]]:
+    """Return the channels (6,) of the position of each target of which most axes are seen; none of a rotation."""
+    targets: dict[str, dict[str, int]] = {}
+    for k, one in enumerate(model.channels):
+        if one.external and one.unit == "mm" and (named := AXIS.fullmatch(one.name)):
+            targets.setdefault(named["before"] + named["after"], {}).setdefault(named["axis"].lower(), k)
+    most = max(map(len, targets.values()), default=0)
+    found = [one for one in targets.values() if len(one) == most]
+    return [[*(one.get(axis) for axis in "xyz"), None, None, None] for one in found]
 
 
 def tabulate_pose_errors(variant: Variant, prediction: Prediction) -> pd.DataFrame:

@@ -91,7 +91,9 @@ class ArmConfig(Section):
     down: Vector = Field(default=[0.0, 0.0, -1.0])
     """Where gravity points, frame of the base; of any length [1]."""
     workspace_deg: list[Annotated[list[Number], Field(min_length=2, max_length=2)]] = Field(default=[])
-    """Smallest and largest angle of each joint where accuracy counts; the joints' ranges where nothing is said."""
+    """Smallest and largest angle of each joint (mm of one that slides) where accuracy counts; the joints' ranges where
+    nothing is said.
+    """
     _chain: Chain = PrivateAttr()
 
     @property
@@ -112,7 +114,10 @@ class ArmConfig(Section):
             self._chain = self._chain_rows()
         if not any(self.down):
             raise ValueError("down: found a zero vector, expected a direction")
-        n = len(self._chain.joints)
+        n, names = len(self._chain.joints), [one.name for one in self._chain.joints]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"joints: found {name!r} twice, expected unique names")
         if self.workspace_deg and len(self.workspace_deg) != n:
             raise ValueError(f"workspace_deg: found {len(self.workspace_deg)} joints, expected {n}")
         for low, high in (*self.workspace_deg, *(one.range_deg for one in self.joints)):
@@ -165,10 +170,10 @@ class Arm(ReadingMachine):
             *(ParameterBlock(symbol, nothing, "rad") for symbol in HARMONICS),
             *([ParameterBlock("k", nothing, "1e-6 rad/(N m)")] if self.has_mass else []),
         ]
-        ends = [(max(low, -FULL_TURN), min(high, FULL_TURN)) for low, high in (one.ends for one in joints)]
-        ends = [one.ends if one.slides else some for one, some in zip(joints, ends, strict=True)]
+        ends = [one.ends if one.slides else _limit(*one.ends) for one in joints]
         if config.workspace_deg:
-            ends = [(float(low), float(high)) for low, high in np.radians(config.workspace_deg)]
+            unit = np.where(self.slides, 1.0, np.radians(1.0))[:, None]
+            ends = [(float(low), float(high)) for low, high in unit * np.array(config.workspace_deg)]
         units = ["mm" if one else "rad" for one in self.slides]
         self.coordinates = [
             Coordinate(f"q{k}", unit, (low + high) / 2.0, (high - low) / 2.0)
@@ -330,3 +335,9 @@ class Arm(ReadingMachine):
         turned = vector[..., 0, :, :] @ last @ compute_left_jacobian(np.asarray(parameters["tool_r"]))
         by["tool_r"] = np.concatenate([np.zeros_like(turned), turned], axis=-2)
         return np.swapaxes(by_pose, -1, -2), by
+
+
+def _limit(low: float, high: float) -> tuple[float, float]:
+    """Return the range of a joint that turns, within one full turn about zero where it has any of it."""
+    inner = max(low, -FULL_TURN), min(high, FULL_TURN)
+    return inner if inner[0] < inner[1] else (max(low, high - 2.0 * FULL_TURN), high)

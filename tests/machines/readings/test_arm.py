@@ -1,0 +1,267 @@
+"""Arms: the errors of their joints as products of matrices, moments of weight by energy, commands, sockets."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
+from serial_arms import JOINTS, SMALL, build_arm, list_masses, multiply, place_links
+from studies import EXPERIMENTS
+
+from bayescal.machines.read import read_reading_model
+from bayescal.machines.readings import FunctionModel, Parameters
+from bayescal.machines.readings.arm import Arm, ArmConfig
+from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
+
+UR10 = EXPERIMENTS / "ur10" / "machine.toml"
+GRAVITY = 9.80665
+BUILDERS = {
+    "ur10": lambda: read_reading_model(UR10),
+    "panda": lambda: read_reading_model(EXPERIMENTS / "panda_socket" / "machine.toml"),
+    "small": lambda: FunctionModel("small", build_arm()),
+}
+
+
+@pytest.fixture(params=BUILDERS)
+def model(request):
+    """Return an arm of six rows, one of seven joints in a file, one with a joint that slides."""
+    return BUILDERS[request.param]()
+
+
+def draw_far(model, rng, *shape):
+    """Return parameters (*shape, D) that are far off nominal, and poses (4, n) all over the workspace."""
+    size = np.array([{"mm": 20.0, "rad": 0.2}.get(unit, 0.01) for unit in model.layout.units])
+    pose = model.home_pose + model.pose_scale * rng.uniform(-1.0, 1.0, (4, len(model.home_pose)))
+    return model.layout.nominal + size * rng.standard_normal((*shape, model.layout.size)), pose
+
+
+# --- where the tip is ------------------------------------------------------------------------------------------------
+
+
+def test_errors_stand_before_their_joints_move(model, rng):
+    theta, pose = draw_far(model, rng)
+    known, chain = Parameters(model.layout, theta), model.machine.chain
+
+    def stand(position, axes):
+        found = np.eye(4)
+        found[:3, :3], found[:3, 3] = axes, position
+        return found
+
+    for v in pose:
+        here = np.eye(4)
+        for k, joint in enumerate(chain.joints):
+            slide, turn = [known[one][k] for one in "xyz"], [known[one][k] for one in ("rx", "ry", "offset")]
+            here = here @ stand(joint.place.position, joint.place.axes)
+            here = here @ stand(slide, Rotation.from_rotvec(turn).as_matrix())
+            along, about = (np.array([0.0, 0.0, v[k]]) * one for one in (joint.slides, not joint.slides))
+            here = here @ stand(along, Rotation.from_rotvec(about).as_matrix())
+        here = here @ stand(chain.tip.position, chain.tip.axes)
+        here = here @ stand(known["tool"], Rotation.from_rotvec(known["tool_r"]).as_matrix())
+        found = model.tool_values(theta, v)
+        np.testing.assert_allclose(found[:3], here[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(Rotation.from_rotvec(found[3:]).as_matrix(), here[:3, :3], atol=1e-12)
+
+
+def test_slopes_are_those_of_complex_steps_far_off_nominal(model, rng):
+    theta, pose = draw_far(model, rng, 4)
+    for found, expected in zip(model.tool(theta, pose), model.step_tool(theta, pose), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_many_machines_at_once_stand_where_each_does(model, rng):
+    theta, pose = draw_far(model, rng, 3, 1)
+    machine, known = model.machine, Parameters(model.layout, theta)
+    for v in (pose, np.stack([pose, pose[::-1], 0.5 * pose])):
+        position, axes = machine._follow_many(known, v)
+        at = machine._follow(known, np.broadcast_to(v, (3, *pose.shape)))
+        np.testing.assert_allclose(position, at["origins"][..., -1, :], rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(axes, at["axes"][..., -1, :, :], rtol=0.0, atol=1e-12)
+
+
+# --- what commands read ----------------------------------------------------------------------------------------------
+
+
+def read_moments(model, pose):
+    """Return moments about the joints, N m, by how a compliance of one radian each moves what is read."""
+    theta = model.layout.nominal.copy()
+    theta[model.layout.index["k"]] = 1e6
+    return pose - model.read(theta, pose)
+
+
+def fall(energy, v, steps):
+    """Return by how much an energy falls with each coordinate, by central differences."""
+    each = np.diag(steps)
+    return np.array([energy(v - one) - energy(v + one) for one in each]) / (2.0 * steps)
+
+
+@pytest.mark.parametrize("down", [[0.0, 0.0, -1.0], [3.0, -1.0, 0.5]])
+def test_moments_are_how_potential_energy_falls(rng, down):
+    payload, masses = 2.0, list_masses(SMALL)
+    masses.pop("plinth")  # on which no joint acts
+    up = -np.array(down) / np.linalg.norm(down)
+
+    def energy(v):
+        links = place_links(SMALL, dict(zip(JOINTS, v * [1.0, 1e-3, 1.0], strict=True)))
+        found = payload * up @ links["flange"][:3, 3]
+        return GRAVITY * (found + sum(m * up @ (links[one] @ centre)[:3] for one, (m, centre) in masses.items()))
+
+    model = FunctionModel("small", build_arm(down=down))
+    _, pose = draw_far(model, rng)
+    for v, found in zip(pose, read_moments(model, pose), strict=True):
+        turning = [1.0, 0.0, 1.0]  # a moment bends no slide
+        np.testing.assert_allclose(found, fall(energy, v, np.full(3, 1e-5)) * turning, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("convention", ["classical", "modified"])
+def test_masses_of_rows_stand_in_the_frames_of_their_rows(rng, convention):
+    section = tomllib.loads(UR10.read_text())["machine"] | {"convention": convention, "payload_kg": 3.0}
+    model = FunctionModel("ur10", Arm(ArmConfig.model_validate(section)))
+    rows = section["joints"]
+
+    def energy(v):
+        here, found = np.eye(4), 0.0
+        for row, q in zip(rows, v, strict=True):
+            numbers = row.get("d_mm", 0.0), row.get("a_mm", 0.0), np.radians(row.get("alpha_deg", 0.0))
+            here = here @ multiply(*numbers, q, convention == "modified")
+            found += row["mass_kg"] * (here @ [*row.get("centre_mm", [0.0, 0.0, 0.0]), 1.0])[2]
+        return 1e-3 * GRAVITY * (found + 3.0 * here[2, 3])
+
+    _, pose = draw_far(model, rng)
+    for v, found in zip(pose, read_moments(model, pose), strict=True):
+        np.testing.assert_allclose(found, fall(energy, v, np.full(6, 1e-5)), rtol=0.0, atol=1e-6)
+
+
+def test_what_commands_read_of_gains_and_sines(rng):
+    model = FunctionModel("small", build_arm())
+    theta, pose = draw_far(model, rng)
+    theta[model.layout.index["k"]] = 0.0
+    known = Parameters(model.layout, theta)
+    turns = np.array([1.0, 0.0, 1.0])
+    sines = known["s1"] * np.sin(pose) + known["c1"] * np.cos(pose)
+    sines = sines + known["s2"] * np.sin(2.0 * pose) + known["c2"] * np.cos(2.0 * pose)
+    np.testing.assert_allclose(model.read(theta, pose), pose - known["gain"] * pose - turns * sines, atol=1e-12)
+
+
+def test_no_compliance_without_masses():
+    assert "k" not in BUILDERS["panda"]().layout.symbols
+    assert "k" in BUILDERS["ur10"]().layout.symbols
+
+
+# --- ranges ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [
+        ('lower="-1.2" upper="2.0"', (-1.2, 2.0)),
+        ('lower="-6.2" upper="6.2"', (-np.pi, np.pi)),
+        ('lower="3.5" upper="6.0"', (3.5, 6.0)),
+        ('soft="1"', (-np.pi, np.pi)),
+    ],
+)
+def test_a_joint_is_where_its_limits_are(limit, expected):
+    arm = build_arm(SMALL.replace('lower="-1.2" upper="2.0"', limit))
+    one = arm.coordinates[0]
+    np.testing.assert_allclose([one.home - one.reach, one.home + one.reach], expected)
+
+
+def test_a_workspace_is_in_degrees_and_of_slides_in_mm():
+    arm = build_arm(workspace_deg=[[-90.0, 0.0], [10.0, 30.0], [-10.0, 10.0]])
+    np.testing.assert_allclose([one.home for one in arm.coordinates], [-np.pi / 4.0, 20.0, 0.0])
+    np.testing.assert_allclose([one.reach for one in arm.coordinates], [np.pi / 4.0, 10.0, np.pi / 18.0])
+
+
+FAULTS = {
+    "nothing": ({}, "found both or neither of urdf and joints, expected one"),
+    "both": ({"urdf": "a.urdf", "joints": [{}]}, "found both or neither of urdf and joints, expected one"),
+    "links": ({"joints": [{}], "tip": "hand"}, "found base or tip beside joints, expected them beside urdf"),
+    "down": ({"joints": [{}], "down": [0.0, 0.0, 0.0]}, "down: found a zero vector, expected a direction"),
+    "workspace": ({"joints": [{}], "workspace_deg": [[0, 1], [0, 1]]}, "workspace_deg: found 2 joints, expected 1"),
+    "range": ({"joints": [{"range_deg": [90.0, -90.0]}]}, "found a range from 90 to -90, expected the smaller first"),
+    "one name": ({"joints": [{"name": "a"}, {"name": "a"}]}, "joints: found 'a' twice, expected unique names"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_sections_that_are_no_arm_are_refused(name):
+    section, said = FAULTS[name]
+    with pytest.raises(ValidationError, match=said):
+        ArmConfig.model_validate(section)
+
+
+# --- a ball in a socket ----------------------------------------------------------------------------------------------
+
+
+def test_a_socket_reads_how_far_the_ball_is_off(rng):
+    place, ball = np.array([500.0, -100.0, 250.0]), np.array([3.0, -4.0, 60.0])
+    socket = SocketInstrument(SocketConfig(place_mm=list(place), target_mm=list(ball)))
+    assert [one.name for one in socket.channels] == ["[x]", "[y]", "[z]"]
+    known = {one.symbol: np.array(one.nominal) for one in socket.parameters}
+    rotation = Rotation.from_rotvec(rng.standard_normal((5, 3)))
+    position = place - rotation.apply(ball)
+    off = rng.standard_normal((5, 3))
+    seen = socket.see(known, position + off, rotation.as_matrix())
+    np.testing.assert_allclose(seen, off, atol=1e-12)
+    stated = {"target": ball}
+    seen[2, 1] = np.nan
+    (found,) = socket.propose(stated, seen, position + off, rotation.as_matrix())
+    np.testing.assert_allclose(found["place"], place, atol=1e-12)
+
+
+def test_a_ball_at_the_tools_centre_needs_no_rotation(rng):
+    socket = SocketInstrument(SocketConfig())
+    assert [one.symbol for one in socket.parameters] == ["place"]
+    assert np.isnan(socket.parameters[0].nominal).all()
+    position = rng.standard_normal((4, 3))
+    np.testing.assert_array_equal(socket.see({"place": np.zeros(3)}, position, None), position)
+    found = SocketInstrument(SocketConfig(target_mm="found"))
+    assert [one.symbol for one in found.parameters] == ["place", "target"]
+
+
+# --- arms that were measured -----------------------------------------------------------------------------------------
+
+
+def run_first(call, folder, name, variant):
+    """Run one variant of a shipped study; return its tool's held-back rows and what the table of variants says."""
+    text = (EXPERIMENTS / name / "study.toml").read_text().replace('name = "' + name + '"', 'name = "one"')
+    head, *variants = text.split("[[variants]]")
+    one = next(x for x in variants if f'name = "{variant}"' in x).partition("\n[evidence]")[0]
+    shutil.copytree(EXPERIMENTS / name, folder)
+    (folder / "one.toml").write_text(f"{head}\n[[variants]]{one}\n[sampler]\nsteps = 200\n")
+    code, _, _ = call("run", folder / "one.toml", "--out", folder / "out", "--workers", 1)
+    assert code == 0
+    tables = folder / "out" / "tables"
+    return pd.read_csv(tables / "tool_predictions.csv", comment="#"), pd.read_csv(tables / "variants.csv").iloc[0]
+
+
+def rms_of(rows):
+    """Return the root of the mean squared distance of what was predicted, mm."""
+    return np.sqrt(((rows["mean"] - rows["measured"]) ** 2).groupby(rows["pose"]).sum().mean())
+
+
+@pytest.mark.slow
+def test_a_measured_arm_is_calibrated_by_a_ball_in_sockets(call, tmp_path):
+    rows, found = run_first(call, tmp_path / "panda", "panda_socket", "zeros")
+    assert found["converged"]
+    assert len(rows) == 3 * 36  # of six sockets
+    assert rms_of(rows) == pytest.approx(1.27, abs=0.02)  # mm; as drawn 8.2 to 10.8
+    assert 0.84 < rows["in_interval_90"].mean() < 0.96
+    poses = pd.read_csv(tmp_path / "panda" / "out" / "tables" / "pose_errors.csv", comment="#")
+    assert len(poses) == 182
+    assert poses["position_error_mm"].notna().all()  # by whichever socket
+
+
+@pytest.mark.slow
+def test_a_measured_arm_is_calibrated_by_a_tracker(call, tmp_path):
+    rows, found = run_first(call, tmp_path / "ur10", "ur10", "links")
+    assert found["converged"]
+    assert rms_of(rows) < 0.6  # mm; as drawn 1.1
+    assert 0.82 < rows["in_interval_90"].mean() < 0.96
+    code, said, _ = call("validate", tmp_path / "ur10" / "study_300.toml")
+    assert code == 0
+    assert "in 300 rows" in said or "299 rows" in said
