@@ -69,7 +69,7 @@ def leave_out(place, folder):
     (folder / "study.toml").write_text("\n".join(lines) + "\n[[variants]]" + links)
 
 
-@pytest.mark.runs
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES)
 def test_sockets_at_two_places_predict_those_at_the_third(place, call, tmp_path):
     leave_out(place, tmp_path / "panda")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import tomllib
 
 import numpy as np
-import pandas as pd
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
@@ -221,47 +219,3 @@ def test_a_ball_at_the_tools_centre_needs_no_rotation(rng):
     np.testing.assert_array_equal(socket.see({"place": np.zeros(3)}, position, None), position)
     found = SocketInstrument(SocketConfig(target_mm="found"))
     assert [one.symbol for one in found.parameters] == ["place", "target"]
-
-
-# --- arms that were measured -----------------------------------------------------------------------------------------
-
-
-def run_first(call, folder, name, variant):
-    """Run one variant of a shipped study; return its tool's held-back rows and what the table of variants says."""
-    text = (EXPERIMENTS / name / "study.toml").read_text().replace('name = "' + name + '"', 'name = "one"')
-    head, *variants = text.split("[[variants]]")
-    one = next(x for x in variants if f'name = "{variant}"' in x).partition("\n[evidence]")[0]
-    shutil.copytree(EXPERIMENTS / name, folder)
-    (folder / "one.toml").write_text(f"{head}\n[[variants]]{one}\n[sampler]\nsteps = 200\n")
-    code, _, _ = call("run", folder / "one.toml", "--out", folder / "out", "--workers", 1)
-    assert code == 0
-    tables = folder / "out" / "tables"
-    return pd.read_csv(tables / "tool_predictions.csv", comment="#"), pd.read_csv(tables / "variants.csv").iloc[0]
-
-
-def rms_of(rows):
-    """Return the root of the mean squared distance of what was predicted, mm."""
-    return np.sqrt(((rows["mean"] - rows["measured"]) ** 2).groupby(rows["pose"]).sum().mean())
-
-
-@pytest.mark.slow
-def test_a_measured_arm_is_calibrated_by_a_ball_in_sockets(call, tmp_path):
-    rows, found = run_first(call, tmp_path / "panda", "panda_socket", "zeros")
-    assert found["converged"]
-    assert len(rows) == 3 * 36  # of six sockets
-    assert rms_of(rows) == pytest.approx(1.27, abs=0.02)  # mm; as drawn 8.2 to 10.8
-    assert 0.84 < rows["in_interval_90"].mean() < 0.96
-    poses = pd.read_csv(tmp_path / "panda" / "out" / "tables" / "pose_errors.csv", comment="#")
-    assert len(poses) == 182
-    assert poses["position_error_mm"].notna().all()  # by whichever socket
-
-
-@pytest.mark.slow
-def test_a_measured_arm_is_calibrated_by_a_tracker(call, tmp_path):
-    rows, found = run_first(call, tmp_path / "ur10", "ur10", "links")
-    assert found["converged"]
-    assert rms_of(rows) < 0.6  # mm; as drawn 1.1
-    assert 0.82 < rows["in_interval_90"].mean() < 0.96
-    code, said, _ = call("validate", tmp_path / "ur10" / "study_300.toml")
-    assert code == 0
-    assert "in 300 rows" in said or "299 rows" in said
