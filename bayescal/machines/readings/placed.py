@@ -470,7 +470,7 @@ class InstrumentedMachine(ReadingModel):
         """Return what each instrument reads of machines (..., D) whose tools are at poses (..., q)."""
         placed = self.whole.place_tool(own, pose) if isinstance(self.whole, FunctionModel) else None
         pairs = zip(self.instruments, others, strict=True)
-        if placed is None or not all(isinstance(one.machine, Instrument) for one in self.instruments):
+        if placed is None or any(type(one.machine).read is not Instrument.read for one in self.instruments):
             tool = self._place_tool(self.whole.tool_values(own, pose), pose)
             return [one.read(some, tool) for one, some in pairs]
         return [one.take(one.machine.see(Parameters(one.layout, some), *placed)) for one, some in pairs]  # type: ignore[attr-defined]
