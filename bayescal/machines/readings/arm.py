@@ -21,7 +21,7 @@ joint turns little. Of tips seen as points 4 n + 3 directions are determined at 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -303,6 +303,12 @@ class Arm(ReadingMachine):
             x, y, c, s = axes[..., 0], axes[..., 1], cosine[..., k, :], sine[..., k, :]
             axes = np.stack([c * x + s * y, c * y - s * x, axes[..., 2]], axis=-1)
         return position, axes
+
+    def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]]:
+        """Return the base, where each joint's frame stands, and the tip, one after another."""
+        origins = self._follow(parameters, v)["origins"]
+        base = np.zeros((*origins.shape[:-2], 1, 3))
+        return np.concatenate([base, origins], axis=-2), [(k, k + 1) for k in range(origins.shape[-2])]
 
     def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]]:
         """Return how the tip moves by the coordinates, (..., 6, n), and by parameters: a screw of each."""

@@ -219,3 +219,11 @@ def test_a_ball_at_the_tools_centre_needs_no_rotation(rng):
     np.testing.assert_array_equal(socket.see({"place": np.zeros(3)}, position, None), position)
     found = SocketInstrument(SocketConfig(target_mm="found"))
     assert [one.symbol for one in found.parameters] == ["place", "target"]
+
+
+def test_an_arm_is_drawn_from_its_base_to_its_tip(rng):
+    model = read_reading_model(UR10)
+    theta = model.layout.nominal + 1e-3 * rng.standard_normal(model.layout.size)
+    points, pairs = model.machine.outline(Parameters(model.layout, theta), model.home_pose)
+    np.testing.assert_allclose(points[-1], model.tool_values(theta, model.home_pose)[:3], atol=1e-9)
+    assert pairs == [(k, k + 1) for k in range(len(points) - 1)]
