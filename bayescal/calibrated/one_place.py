@@ -29,17 +29,17 @@ def take_one_place(calibrated: CalibratedMachine) -> CalibratedMachine:
     own = [name_channel(channel, PLACES[0]).name for channel in one.channels]
     places = [calibrated.model.names.index(name) for name in (*own, *model.names[len(own) :])]
     commands = [[names[k][one.sensors.index(channel)] for channel in one.channels] for k in range(len(PLACES))]
-    told = [calibrated.model.commanded.index(name) for name in commands[0] if name in calibrated.model.commanded]
+    first = [calibrated.model.commanded.index(name) for name in commands[0] if name in calibrated.model.commanded]
     also = [calibrated.model.commanded.index(name) for name in commands[1] if name in calibrated.model.commanded]
     errors, measured = calibrated.errors, calibrated.measured
-    if len(told) != len(also):
+    if len(first) != len(also):
         return calibrated
     shown = dict(zip(own, one.names, strict=True))
     return replace(
         calibrated,
         model=model,
-        errors=replace(errors, noise=errors.noise[np.ix_(told, told)], model_variance=errors.model_variance[told]),
-        measured=None if measured is None else np.concatenate([measured[:, told], measured[:, also]]),
+        errors=replace(errors, noise=errors.noise[np.ix_(first, first)], model_variance=errors.model_variance[first]),
+        measured=None if measured is None else np.concatenate([measured[:, first], measured[:, also]]),
         given={
             name: np.concatenate([calibrated.given[f"{name}_{place}"] for place in PLACES])
             for name in one.given

@@ -131,10 +131,10 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
         comment = ["What Klipper's own fit found of the same data."]
         files["data/klipper.csv"] = format_table(comment, ["quantity", "unit", "value"], rows).encode()
     step = ", ".join(dict.fromkeys(f"{one:g}" for one in steps))
-    told = [f"readings: {len(heights)} heights, {len(distances)} distances; a step is {step} mm", *said]
+    lines = [f"readings: {len(heights)} heights, {len(distances)} distances; a step is {step} mm", *said]
     if known:
-        told.append("compared with: Klipper's own fit, in the block that it saved")
-    return Project(files, tuple(told))
+        lines.append("compared with: Klipper's own fit, in the block that it saved")
+    return Project(files, tuple(lines))
 
 
 # --- what the file says ----------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ a joint that turns; ``z`` is that of one that slides. Commands, or encoders, rea
 the harmonics those of an eccentric gear or scale, k_i the compliance of a joint under the moment τ_i of what it carries
 about its axis, of the nominal chain and its stated masses.
 
-Not all of these can be told apart: z_i and offset_i move on to the next joint whose axis is parallel, those of the
+Not all of these can be distinguished: z_i and offset_i move on to the next joint whose axis is parallel, those of the
 first joint are as well the instrument's frame, those of the last the tool's; gain and harmonics look alike where a
 joint turns little. Of tips seen as points 4 n + 3 directions are determined at most for n joints that turn.
 """
@@ -180,11 +180,6 @@ class Arm(ReadingMachine):
             for k, (unit, (low, high)) in enumerate(zip(units, ends, strict=True), start=1)
         ]
         self.channels = [Channel(f"joint[{k}]", unit) for k, unit in enumerate(units, start=1)]
-
-    @property
-    def ranges(self) -> Array:
-        """Smallest and largest reading of each joint, shape (n, 2)."""
-        return np.array([one.ends for one in self.chain.joints])
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what commands, or encoders, of the joints read."""

@@ -185,19 +185,22 @@ class PointInstrument(Instrument):
     def __init__(self, config: PointConfig) -> None:
         """Lay out the frame and the target, whose place is a parameter where it is stated."""
         super().__init__(config)
-        self.parameters = [*_frame("frame", config.frame_mm, config.frame_deg), *_points("target", config.target_mm)]
+        self.parameters = [
+            *_frame("frame", config.frame_mm, config.frame_deg),
+            *list_points("target", config.target_mm),
+        ]
         self.channels = [Channel(f"[{axis}]", "mm") for axis in "xyz"]
 
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return where the target is in the instrument's frame."""
         own = np.swapaxes(rotation_matrix(parameters["frame_r"]), -1, -2)
-        return turn(own, _find_target(parameters, position, rotation) - parameters["frame"])
+        return turn(own, find_target(parameters, position, rotation) - parameters["frame"])
 
     def propose(
         self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
     ) -> Sequence[Mapping[str, Array]]:
         """Return the frame that fits points best, by Kabsch's algorithm; see `Instrument.propose`."""
-        frame, _ = fit_point_frame(_find_target(stated, position, rotation), seen[:, :3])
+        frame, _ = fit_point_frame(find_target(stated, position, rotation), seen[:, :3])
         found = [{}, _list_frame("frame", *frame)]
         if "target" in stated:  # one far from the tool's centre moves as it turns: all turns of the frame are tried
             for vector in list_turns(vector_of(frame[1])):
@@ -234,7 +237,7 @@ class PoseInstrument(PointInstrument):
         self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
     ) -> Sequence[Mapping[str, Array]]:
         """Return both frames that fit poses best: of the seen axes alone, of points alone, and of A X = Z B."""
-        own, points = rotation_matrix(stated["target_r"]), _find_target(stated, position, rotation)
+        own, points = rotation_matrix(stated["target_r"]), find_target(stated, position, rotation)
         turned = rotation_matrix(seen[:, 3:])
         found: list[Mapping[str, Array]] = [{}]
         for place, axes in (
@@ -260,19 +263,19 @@ class DistanceInstrument(Instrument):
         super().__init__(config)
         zero = ParameterBlock("zero", (_state(config.zero_mm, UNSTATED[:1])[0],), per_leg=False)
         anchor = ParameterBlock("anchor", _state(config.anchor_mm, UNSTATED))
-        self.parameters = [anchor, *_points("target", config.target_mm), zero]
+        self.parameters = [anchor, *list_points("target", config.target_mm), zero]
         self.channels = [Channel("", "mm")]
 
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return the distance."""
-        away = norm(_find_target(parameters, position, rotation) - parameters["anchor"])
+        away = norm(find_target(parameters, position, rotation) - parameters["anchor"])
         return (away - parameters["zero"])[..., None]
 
     def propose(
         self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
     ) -> Sequence[Mapping[str, Array]]:
         """Return the point and the zero whose distances fit best, by linear least squares of their squares."""
-        points, zero = _find_target(stated, position, rotation), float(stated["zero"][0])
+        points, zero = find_target(stated, position, rotation), float(stated["zero"][0])
         found = [{"anchor": anchor} for anchor in fit_anchor(points, seen[:, 0] + zero, False)]
         both = [{"anchor": one[:3], "zero": one[3:]} for one in fit_anchor(points, seen[:, 0], True)]
         return [{}, *found, *both]
@@ -285,7 +288,8 @@ def _state(value: float | list[float] | Literal["found"] | None, unstated: tuple
     return tuple(value) if isinstance(value, list) else (float(value),)
 
 
-def _points(symbol: str, value: list[float] | Literal["found"] | None) -> list[ParameterBlock]:
+def list_points(symbol: str, value: list[float] | Literal["found"] | None) -> list[ParameterBlock]:
+    """Return the block of a point (3,), NaN where a study finds it; none where nothing is said."""
     return [] if value is None else [ParameterBlock(symbol, _state(value, UNSTATED))]
 
 
@@ -306,7 +310,7 @@ def turn(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return (rotation @ vector[..., None])[..., 0]
 
 
-def _find_target(parameters: Mapping[str, np.ndarray], position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def find_target(parameters: Mapping[str, np.ndarray], position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return where the target is in the base frame, (..., 3)."""
     return position + turn(rotation, parameters["target"]) if "target" in parameters else position
 

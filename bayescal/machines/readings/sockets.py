@@ -5,7 +5,7 @@ Whatever the joints, the ball's centre at t + R b stands at the socket's place c
     ball = t + R b - c,    measured as zero,
 
 in every row that was read with the ball in this socket. Where it stands nobody has to know: it is found with the
-machine, and what is told of that is how far its tool's centre scatters about the socket. How far two sockets are apart
+machine; the readings are by how much its tool's centre scatters about the socket. How far two sockets are apart
 is kept as a check, or stated by their places: without it the machine's scale is known by its tolerances alone.
 """
 
@@ -20,7 +20,7 @@ from bayescal.config.sections import Section, Vector
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import UNSTATED, Instrument, turn
+from bayescal.machines.readings.placed import UNSTATED, Instrument, find_target, list_points
 from bayescal.numerics.geometry import Array
 
 AXES: Final = ("x", "y", "z")
@@ -45,20 +45,16 @@ class SocketInstrument(Instrument):
     def __init__(self, config: SocketConfig) -> None:
         """Lay out the place and the ball on the tool."""
         super().__init__(config)
-        self.parameters = [ParameterBlock("place", UNSTATED if config.place_mm is None else tuple(config.place_mm))]
-        if config.target_mm is not None:
-            target = UNSTATED if config.target_mm == "found" else tuple(config.target_mm)
-            self.parameters.append(ParameterBlock("target", target))
+        place = ParameterBlock("place", UNSTATED if config.place_mm is None else tuple(config.place_mm))
+        self.parameters = [place, *list_points("target", config.target_mm)]
         self.channels = [Channel(f"[{axis}]", "mm") for axis in AXES]
 
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return how far the ball is off the socket's place."""
-        ball = position + turn(rotation, parameters["target"]) if "target" in parameters else position
-        return np.asarray(ball - parameters["place"])
+        return np.asarray(find_target(parameters, position, rotation) - parameters["place"])
 
     def propose(
         self, stated: Mapping[str, Array], seen: Array, position: Array, rotation: Array
     ) -> Sequence[Mapping[str, Array]]:
         """Return the ball's mean place; see `Instrument.propose`."""
-        ball = position + turn(rotation, stated["target"]) if "target" in stated else position
-        return [{"place": np.nanmean(ball - seen, axis=0)}]
+        return [{"place": np.nanmean(find_target(stated, position, rotation) - seen, axis=0)}]
