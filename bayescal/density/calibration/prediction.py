@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
-from bayescal.density.calibration.poses import PoseEstimate
+from bayescal.density.calibration.poses import CONSTANT_H_STEP, PoseEstimate
 from bayescal.density.elimination import Whitening, factorise, find_step, solve_step, subtract_step
 from bayescal.density.prediction import Prediction, summarise_errors
 from bayescal.numerics.geometry import Array
 
 INTERVAL = 0.9
 PER_PARAMETER, RANK = 4, 1e-10  # draws for each parameter that regression on these takes; of singular values
-STRAIGHT, TRIED = 1e-3, 16
-"""Deviations of a reading that a second step may move by where H is the same all the way, and machines that show it."""
+STRAIGHT, TRIED, CHORDS = 1e-3, 16, 4
+"""Deviations of a reading that a second step may move by where H is the same all the way, machines that show it, and
+steps by one H before each pose has its own."""
 NOT_DETERMINED = "other readings do not determine the pose"
 """Why a reading has no prediction: they are degenerate there, or a draw's machine does not get there."""
 
@@ -80,17 +81,19 @@ def predict_readings(
         others = _apart(held, int(place)) & (True if by is None else by)
         groups.setdefault(others.tobytes(), []).append(int(place))
     mean, spread = np.full((2, len(y), *held.data.values.shape), np.nan)
+    going = {key: _is_predicted(held, channels, np.frombuffer(key, dtype=bool)) for key, channels in groups.items()}
     for part in held.batches(len(y)):
         standing = _Standing.find(posterior, held, y[part])
         for key, channels in groups.items():
-            others = np.frombuffer(key, dtype=bool)
-            where = np.flatnonzero(_is_predicted(held, channels, others))
+            others, where = np.frombuffer(key, dtype=bool), np.flatnonzero(going[key])
             if len(where):
                 predicted_there = _predict(
                     posterior, standing.pick(where), channels, others, common[part][:, where], rng
                 )
                 at = np.ix_(range(len(y))[part], where, channels)
                 mean[at], spread[at] = predicted_there
+                # a reading that one machine does not predict is lost: no other needs to try
+                going[key][where] = np.isfinite(spread[at]).any(axis=2).all(axis=0)
     for key, channels in groups.items():
         others = np.frombuffer(key, dtype=bool)
         there, determined = held.data.present[:, others].sum(axis=1), _is_predicted(held, channels, others)
@@ -297,7 +300,8 @@ def _predict(
 def _stand_by(rest: CalibrationLikelihood, standing: _Standing, white: Whitening) -> tuple[PoseEstimate, Array, Array]:
     """Return where some of the readings put the machines, with the errors (T, P, K) of all readings and H there.
 
-    All readings put them close to it: one step, to first order, unless some of the machines show that H changes.
+    All readings put them close to it: one step does, to first order, at rows where some of the machines show that H is
+    the same all the way; elsewhere steps by that H, then by Gauss and Newton's method where these do not end.
     """
     held, theta, (pose, error, raw) = standing.held, standing.theta, standing.near
     there, some = rest.data.present, np.unique(np.linspace(0, len(theta) - 1, TRIED).astype(int))
@@ -308,11 +312,45 @@ def _stand_by(rest: CalibrationLikelihood, standing: _Standing, white: Whitening
         moved = pose + step
         again = white.pick(some).vector(np.where(there, held.subtract_read(theta[some], moved[some]), 0.0))
         _, size = solve_step(slope[some], [[one[some] for one in row] for row in factor], again)
-    if (size <= STRAIGHT).all():
-        error = subtract_step(raw, step, error)
-        return PoseEstimate(moved, white.vector(np.where(there, error, 0.0)), slope), error, raw
-    at = rest.stand(theta, white, np.where(np.isfinite(moved), moved, held.start))
-    return at, *held.linearise_raw(theta, at.pose)[:2]
+    error = subtract_step(raw, step, error)
+    bent = np.flatnonzero(~(size <= STRAIGHT).all(axis=0))
+    if len(bent):
+        raw = raw.copy()
+        chords = slope[:, bent], [[one[:, bent] for one in row] for row in factor]
+        own = rest.pick(bent), held.pick(bent), white.at_poses(bent)
+        moved[:, bent], error[:, bent], raw[:, bent] = _follow_bent(*own, theta, moved[:, bent], *chords)
+        slope[:, bent] = own[2].rows(np.where(there[bent][..., None], raw[:, bent], 0.0))
+    return PoseEstimate(moved, white.vector(np.where(there, error, 0.0)), slope), error, raw
+
+
+def _follow_bent(
+    rest: CalibrationLikelihood,
+    held: CalibrationLikelihood,
+    white: Whitening,
+    theta: Array,
+    pose: Array,
+    slope: Array,
+    factor: list[list[Array]],
+) -> tuple[Array, Array, Array]:
+    """Return poses of machines (T, D) by some of the readings, with the errors of all and H there, as they are.
+
+    Steps from poses (T, P, q) by a white H (T, P, K, q) and the factor of HᵀH; by those of each pose where they do not
+    end.
+    """
+    there = rest.data.present
+    for _ in range(CHORDS):
+        error = white.vector(np.where(there, held.subtract_read(theta, pose), 0.0))
+        step, size = solve_step(slope, factor, error)
+        pose = pose + step
+        ends = (size <= STRAIGHT).all(axis=0)
+        if ends.all() or not (size <= CONSTANT_H_STEP).all(axis=0).any():
+            break
+    lost = np.flatnonzero(~ends)
+    if len(lost):
+        start = np.where(np.isfinite(pose), pose, held.start)[:, lost]
+        at = rest.pick(lost).stand(theta, white.at_poses(lost), start)
+        pose[:, lost] = np.where(np.isfinite(at.error).all(axis=-1)[..., None], at.pose, np.nan)
+    return pose, *held.linearise_raw(theta, pose)[:2]
 
 
 def _spread_of_pose(slope: Array, at: PoseEstimate) -> Array:

@@ -21,7 +21,7 @@ joint turns little. Of tips seen as points 4 n + 3 directions are determined at 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -189,17 +189,38 @@ class Arm(ReadingMachine):
             if np.any(parameters[symbol]):
                 turned = turned - parameters[symbol] * np.where(self.slides, 0.0, function(times * v))
         if self.has_mass and np.any(parameters["k"]):
-            turned = turned - PER_MILLION * parameters["k"] * self._load(v)
+            axes, carried, _ = self._weigh(v)
+            moment = (np.cross(axes, carried) @ self.down) * N_M * ~self.slides
+            turned = turned - PER_MILLION * parameters["k"] * moment
         return np.asarray(turned)
+
+    def slopes(self, parameters: Parameters, v: np.ndarray, given: Given) -> Sequence[Sequence[np.ndarray | float]]:
+        """Return ∂h/∂q: of a joint by itself, and by what all joints change of the moment about its axis.
+
+        The moment is g·(z_k × S_k), S_k the first moment of mass beyond joint k: with i the lower and j the upper of two
+        joints it changes by g·(z_i × (z_j × S_j)) where j turns, by g·(z_k × z_j) m_j where j, beyond k, slides.
+        """
+        del given
+        own = 1.0 - parameters["gain"] * np.ones_like(v)
+        for symbol, (_, times) in HARMONICS.items():
+            change = times * np.cos(times * v) if symbol[0] == "s" else -times * np.sin(times * v)
+            own = own - parameters[symbol] * np.where(self.slides, 0.0, change)
+        n = len(self.chain.joints)
+        rows = [[own[..., k] if i == k else 0.0 for i in range(n)] for k in range(n)]
+        if self.has_mass and np.any(parameters["k"]):
+            axes, carried, mass = self._weigh(v)
+            lever = np.where(self.slides[:, None], 0.0, np.cross(axes, carried))
+            for k in np.flatnonzero(~self.slides):
+                for i in range(n):
+                    turn = np.cross(axes[..., min(i, k), :], lever[..., max(i, k), :])
+                    if self.slides[i]:
+                        turn = np.cross(axes[..., k, :], axes[..., i, :]) * mass[i] * (i > k)
+                    rows[k][i] = rows[k][i] - PER_MILLION * parameters["k"][..., k] * N_M * (turn @ self.down)
+        return rows
 
     # --- where the tip is --------------------------------------------------------------------------------------------
 
-    @cached_property
-    def _nominal(self) -> Parameters:
-        """Parameters of the chain as it is drawn: zero, every one."""
-        return {one.symbol: np.zeros(len(one.nominal)) for one in self.parameters}  # type: ignore[return-value]
-
-    def _follow(self, parameters: Parameters | Mapping[str, np.ndarray], v: np.ndarray) -> dict[str, Any]:
+    def _follow(self, parameters: Parameters, v: np.ndarray) -> dict[str, Any]:
         """Return origins (..., n + 1, 3) and axes (..., n + 1, 3, 3) of all joints and the tip, base frame.
 
         ``drawn`` are the axes in which errors stand, before they turn; ``axes`` those of a joint before it moves.
@@ -236,26 +257,54 @@ class Arm(ReadingMachine):
             "turns": turns,
         }
 
-    def _load(self, v: np.ndarray) -> np.ndarray:
-        """Return the moment about each joint's axis of what it carries, (..., n), N m; zero of joints that slide."""
-        at = self._follow(self._nominal, v)
-        origins, axes = at["origins"], at["axes"]
-        weight = np.zeros((*origins.shape[:-2], 3)) + self.payload * self.down
-        moment = np.cross(origins[..., -1, :], weight)
-        found = list[np.ndarray]()
-        for k in reversed(range(len(self.chain.joints))):
-            joint = self.chain.joints[k]
+    def _walk(self, steps: Array, v: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield where each joint stands and its axes before it moves, (..., 3) and (..., 3, 3), and the tip's at last.
+
+        Of one machine, steps (n + 1, 3, 4) and coordinates (..., n), or of many, (B, n + 1, 3, 4) and (P, n) or
+        (B, P, n): what leads from one joint to the next, axes beside place. The axes of all poses of a machine are the
+        rows of one matrix.
+        """
+        lead = steps.shape[:-3]
+        shape = np.broadcast_shapes((*lead, *(1,) * len(lead)), v.shape[:-1])
+        axes, position = np.broadcast_to(np.eye(3), (*shape, 3, 3)), np.zeros((*shape, 3))
+        cosine, sine = np.cos(v)[..., None], np.sin(v)[..., None]
+        for k in range(steps.shape[-3]):
+            moved = (axes.reshape(*lead, -1, 3) @ steps[..., k, :, :]).reshape(*shape, 3, 4)
+            axes, position = moved[..., :3], position + moved[..., 3]
+            yield position, axes
+            if k == len(self.slides):
+                return
+            if self.slides[k]:
+                position = position + v[..., k, None] * axes[..., 2]
+                continue
+            x, y, c, s = axes[..., 0], axes[..., 1], cosine[..., k, :], sine[..., k, :]
+            axes = np.stack([c * x + s * y, c * y - s * x, axes[..., 2]], axis=-1)
+
+    @cached_property
+    def _drawn_steps(self) -> Array:
+        """What leads from joint to joint of the chain as it is drawn, (n + 1, 3, 4)."""
+        places = [*(one.place for one in self.chain.joints), self.chain.tip]
+        return np.stack([np.column_stack([one.axes, one.position]) for one in places])
+
+    def _weigh(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Return axes of the joints (..., n, 3), the first moment about each of the mass beyond it, and that mass (n,).
+
+        Of the chain as it is drawn, kg mm and kg.
+        """
+        *joints, (tip, _) = self._walk(self._drawn_steps, v)
+        moment, mass, moments, masses = self.payload * tip, self.payload, list[np.ndarray](), list[float]()
+        for k in reversed(range(len(joints))):
+            joint, (origin, axes) = self.chain.joints[k], joints[k]
             if joint.mass:
-                q, (x, y, z) = v[..., k, None], (axes[..., k, :, i] for i in range(3))
+                q, (x, y, z) = v[..., k, None], (axes[..., i] for i in range(3))
                 cosine, sine = (np.cos(q), np.sin(q)) if not joint.slides else (1.0, 0.0)
                 a, b, c = joint.centre
-                centre = origins[..., k, :] + a * (cosine * x + sine * y) + b * (cosine * y - sine * x) + c * z
-                centre = centre + (q * z if joint.slides else 0.0)
-                own = joint.mass * self.down
-                moment, weight = moment + np.cross(centre, own), weight + own
-            about = moment - np.cross(origins[..., k, :], weight)
-            found.insert(0, N_M * (axes[..., k, :, 2] * about).sum(axis=-1) * (not joint.slides))
-        return np.stack(found, axis=-1)
+                centre = origin + a * (cosine * x + sine * y) + b * (cosine * y - sine * x) + c * z
+                moment = moment + joint.mass * (centre + (q * z if joint.slides else 0.0))
+                mass += joint.mass
+            moments.insert(0, moment - mass * origin)
+            masses.insert(0, mass)
+        return np.stack([axes[..., 2] for _, axes in joints], axis=-2), np.stack(moments, axis=-2), np.array(masses)
 
     def tool(self, parameters: Parameters, v: np.ndarray) -> np.ndarray:
         """Return position and rotation vector of the tip in the base frame."""
@@ -278,26 +327,10 @@ class Arm(ReadingMachine):
         moves = [np.stack([parameters[one] for one in names], axis=-1)[:, 0] for names in (PLACES, TURNS)]
         tools = (parameters["tool"], parameters["tool_r"])
         moves = [np.concatenate([one, tool], axis=1) for one, tool in zip(moves, tools, strict=True)]
-        errors = rotation_matrix(moves[1])
-        n_machines, n_poses = len(errors), v.shape[-2]
-        axes = np.broadcast_to(np.eye(3), (n_machines, n_poses, 3, 3))
-        position = np.zeros((n_machines, n_poses, 3))
-        places = [*(one.place for one in self.chain.joints), self.chain.tip]
-        cosine, sine = np.cos(v)[..., None], np.sin(v)[..., None]
-        for k, place in enumerate(places):
-            step = np.empty((n_machines, 3, 4))
-            step[..., :3] = place.axes @ errors[:, k]
-            step[..., 3] = place.position + moves[0][:, k] @ place.axes.T
-            moved = (axes.reshape(n_machines, -1, 3) @ step).reshape(n_machines, n_poses, 3, 4)
-            axes, position = moved[..., :3], position + moved[..., 3]
-            if k == len(self.chain.joints):
-                break
-            if self.slides[k]:
-                position = position + v[..., k, None] * axes[..., 2]
-                continue
-            x, y, c, s = axes[..., 0], axes[..., 1], cosine[..., k, :], sine[..., k, :]
-            axes = np.stack([c * x + s * y, c * y - s * x, axes[..., 2]], axis=-1)
-        return position, axes
+        turns, drawn = rotation_matrix(moves[1]), self._drawn_steps
+        moved = drawn[:, :, 3] + np.einsum("kij,bkj->bki", drawn[:, :, :3], moves[0])
+        *_, tip = self._walk(np.concatenate([drawn[:, :, :3] @ turns, moved[..., None]], axis=-1), v)
+        return tip
 
     def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]]:
         """Return the base, where each joint's frame stands, and the tip, one after another."""

@@ -145,6 +145,15 @@ def test_what_commands_read_of_gains_and_sines(rng):
     np.testing.assert_allclose(model.read(theta, pose), pose - known["gain"] * pose - turns * sines, atol=1e-12)
 
 
+def test_slopes_of_commands_are_those_of_complex_steps(model, rng):
+    theta, pose = draw_far(model, rng, 3, 1)
+    if "k" in model.layout.symbols:
+        theta[..., model.layout.index["k"]] = 1e4 * rng.standard_normal(len(model.layout.index["k"]))
+    every = np.eye(theta.shape[-1] + pose.shape[-1])[theta.shape[-1] :]
+    _, stepped = model.differentiate(theta, pose, {}, every)
+    np.testing.assert_allclose(model.closed_slopes(theta, pose, {}), np.moveaxis(stepped, 0, -1), rtol=0.0, atol=1e-12)
+
+
 def test_no_compliance_without_masses():
     assert "k" not in BUILDERS["panda"]().layout.symbols
     assert "k" in BUILDERS["ur10"]().layout.symbols
