@@ -34,6 +34,7 @@ from bayescal.numerics.geometry import Array
 QUANTILES = (0.05, 0.5, 0.95)
 TAIL = float(ndtri(QUANTILES[-1]))
 DIFFERENCE = 1e-3  # posterior sds
+BATCH = 256  # vectors whose matrices stay in the cache
 STEEPEST = 0.95  # |B| / A; the bend stays invertible with a slope that is not lost to rounding
 
 
@@ -208,10 +209,12 @@ class Reparameterisation:
             self.skew.inverse(y)
 
     def y_from_x(self, x: Array) -> Array:
-        """Return sampling coordinates."""
+        """Return sampling coordinates; of many vectors in batches, for each has a matrix of its own."""
         y = self._unbend(x)
-        self._spread_out(y)
-        self._curve(y)
+        for k in range(0, len(y), BATCH):
+            part = y[k : k + BATCH]
+            self._spread_out(part)
+            self._curve(part)
         return y
 
     def x_from_y(self, y: Array) -> Array:

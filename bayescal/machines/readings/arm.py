@@ -197,8 +197,8 @@ class Arm(ReadingMachine):
     def slopes(self, parameters: Parameters, v: np.ndarray, given: Given) -> Sequence[Sequence[np.ndarray | float]]:
         """Return ∂h/∂q: of a joint by itself, and by what all joints change of the moment about its axis.
 
-        The moment is g·(z_k × S_k), S_k the first moment of mass beyond joint k: with i the lower and j the upper of two
-        joints it changes by g·(z_i × (z_j × S_j)) where j turns, by g·(z_k × z_j) m_j where j, beyond k, slides.
+        The moment is g·(z_k × S_k), S_k the first moment of mass beyond joint k: with i the lower and j the upper of
+        two joints it changes by g·(z_i × (z_j × S_j)) where j turns, by g·(z_k × z_j) m_j where j, beyond k, slides.
         """
         del given
         own = 1.0 - parameters["gain"] * np.ones_like(v)
@@ -209,8 +209,8 @@ class Arm(ReadingMachine):
         rows = [[own[..., k] if i == k else 0.0 for i in range(n)] for k in range(n)]
         if self.has_mass and np.any(parameters["k"]):
             axes, carried, mass = self._weigh(v)
-            lever = np.where(self.slides[:, None], 0.0, np.cross(axes, carried))
-            for k in np.flatnonzero(~self.slides):
+            lever = np.cross(axes, carried)
+            for k in np.flatnonzero(~self.slides).tolist():
                 for i in range(n):
                     turn = np.cross(axes[..., min(i, k), :], lever[..., max(i, k), :])
                     if self.slides[i]:
