@@ -16,7 +16,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
 from bayescal.inference.importance import difference_twice
-from bayescal.inference.loose import differentiate_geometry
+from bayescal.inference.loose import find_information
 from bayescal.inference.scales import find_scales_mode
 from bayescal.inference.target import LogDensity
 from bayescal.limits import FAR_AWAY
@@ -119,7 +119,7 @@ def _look_along(posterior: LogDensity, y: Array) -> list[tuple[int, Array]]:
     two distances to either side tell these products, whatever the readings are.
     """
     found, here = list[tuple[int, Array]](), float(posterior.log_density(y[None])[0])
-    sd = 1.0 / np.sqrt(np.diag(differentiate_geometry(posterior, y)[1]))
+    sd = 1.0 / np.sqrt(np.diag(find_information(posterior, y)))
     for k in np.flatnonzero((sd > LEAST) & (AWAY * sd < 1.0)):
         step = min(AWAY * sd[k], FARTHEST)
         points = np.tile(y, (4, 1))
