@@ -210,6 +210,7 @@ def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Chan
         ending = next((end for end in ("r_x", "rx") if stems[0].endswith(end)), None)
         prefix = f"{channel.rotation}_" if ending is None else stems[0].removesuffix(ending)
         others = [f"{prefix}{name}" for name in OTHER_COLUMNS if f"{prefix}{name}" not in known]
+        table = table.convert(others)
         if not set(others) & set(table.columns):
             continue
         for one in table.columns:
