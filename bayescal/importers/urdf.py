@@ -2,7 +2,7 @@
 
 A URDF file holds a machine and no readings. With ``instrument = socket``, which holds where nothing is said, a ball at
 the tip sits in a socket, at configurations that lead it there within the joints' limits; with ``tracker`` the tip is
-seen at configurations all over these.
+seen at configurations all over these. A xacro file is expanded first; options that are none of these are its arguments.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import numpy as np
 from bayescal.config.load import FOLDER
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
+from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
 from bayescal.importers import Project
+from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm, read_urdf
 from bayescal.machines.readings.arm import Arm, ArmConfig
 from bayescal.machines.readings.function import FunctionModel
@@ -70,6 +72,12 @@ def recognise(name: str, text: str) -> bool:
 
 def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     """Return an arm and an audit as a project; InputError, with the line, for a file without a chain of joints."""
+    if path.suffix.lower() == SUFFIX:
+        name = name_urdf(path)
+        arguments = {key: value for key, value in options.items() if key not in OPTIONS}
+        expanded = {name: expand(path, arguments)}
+        kept = {key: value for key, value in options.items() if key in OPTIONS}
+        return convert(MemoryPath(name, files=expanded), "", kept)
     for key in set(options) - {*OPTIONS}:
         raise InputError(f"--option {key}: found it, expected one of {', '.join(OPTIONS)}")
     instrument = options.get("instrument", SOCKET)

@@ -170,7 +170,7 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
         raise InputError(f"{path}, line {root.line}: found <{root.tag}>, expected <robot>")
     for one in root.children:
         if one.tag.startswith("xacro:"):
-            raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: expand it with xacro first")
+            raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: bayescal init expands it")
     links, joints = (_index(path, root, tag) for tag in ("link", "joint"))
     into = dict[str, Element]()
     for one in joints.values():
