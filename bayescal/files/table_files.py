@@ -41,7 +41,7 @@ POSE = "pose"
 
 
 @dataclass(frozen=True)
-class Cells:
+class TableCells:
     """Text cells of a file under a header, with the line that each row stands on.
 
     ``fault`` is what is wrong with how the header is written, empty where nothing is; ``pose`` how rows may be named by
@@ -64,7 +64,7 @@ class Cells:
                 hint = "; decimal commas?" if len(cells) in (2 * n, 2 * n - 1) else ""
                 raise InputError(f"{self.path}, line {line}: found {len(cells)} cells, expected {n}{hint}")
 
-    def name_rows(self) -> Cells:
+    def name_rows(self) -> TableCells:
         """Return the same with a column of poses, where there is none and its TOML file lets rows be named."""
         if not self.pose or POSE in self.header:
             return self
@@ -84,7 +84,7 @@ class TableForm:
     pose: str = "P{1}"
     source: Path | None = None
 
-    def read(self, expected: str) -> Cells:
+    def read(self, expected: str) -> TableCells:
         """Return the cells of the file; InputError, with its line, for what is not written in this form."""
         suffix = self.table.suffix.lower()
         if suffix in PARQUET:
@@ -101,7 +101,7 @@ class TableForm:
         cells.check_lengths()
         return self._rename(cells)
 
-    def _read_separated(self, expected: str) -> Cells:
+    def _read_separated(self, expected: str) -> TableCells:
         path, separator = self.table, self.separator or ("\t" if self.table.suffix.lower() in TABS else ",")
         lines = enumerate(read_text(path, "a CSV table").splitlines(), start=1)
         numbered = [(line, row) for line, row in lines if row.strip() and not row.startswith("#")]
@@ -119,16 +119,18 @@ class TableForm:
         fault = f"found cells separated by {SEPARATORS[other]}, expected {SEPARATORS[separator]}" if other else ""
         if fault and self.source is None:
             fault += f", and decimal points; or a TOML file with table = {path.name!r} and separator = {other!r}"
-        return Cells(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]), numbered[0][0], fault)
+        return TableCells(
+            path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]), numbered[0][0], fault
+        )
 
-    def _turn(self, cell: str, cells: Cells, row: int) -> str:
+    def _turn(self, cell: str, cells: TableCells, row: int) -> str:
         """Return a cell with a decimal point; InputError where it has one already, which may be of thousands."""
         if DECIMAL_POINT.fullmatch(cell):
             where = f"{self.table}, line {cells.lines[row]}"
             raise InputError(f"{where}: found {cell.strip()!r}, expected a decimal comma, as {self.source} says")
         return cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
 
-    def _rename(self, cells: Cells) -> Cells:
+    def _rename(self, cells: TableCells) -> TableCells:
         named = dict[str, str]()
         for name, here in self.columns.items():
             start, wanted = NUMBERED.search(name), NUMBERED.search(here)
@@ -159,7 +161,7 @@ def _find_key(path: Path, text: str, key: str) -> str:
     return f"{path}, line {lines[0]}: {key}" if lines else f"{path}: {key}"
 
 
-def read_cells(path: Path, expected: str) -> Cells:
+def read_cells(path: Path, expected: str) -> TableCells:
     """Return the cells of a table's file, or of that which a TOML file names; InputError for what cannot be read.
 
     ``expected`` is what the message of an empty file speaks of.
@@ -220,7 +222,7 @@ def list_beside(name: str, folder: Path) -> tuple[str, ...]:
 # --- other programs' forms -------------------------------------------------------------------------------------------
 
 
-def _read_json_lines(path: Path) -> Cells:
+def _read_json_lines(path: Path) -> TableCells:
     text, found, lines = read_text(path, "JSON lines"), list[dict[str, str]](), list[int]()
     header = dict[str, None]()
     for line, row in enumerate(text.splitlines(), start=1):
@@ -238,7 +240,7 @@ def _read_json_lines(path: Path) -> Cells:
         if len(header) > MOST_COLUMNS:
             raise InputError(f"{path}, line {line}: found more than {MOST_COLUMNS} columns, expected fewer")
     rows = tuple(tuple(one.get(name, "") for name in header) for one in found)
-    return Cells(path, tuple(header), rows, tuple(lines))
+    return TableCells(path, tuple(header), rows, tuple(lines))
 
 
 def _flatten(value: object, name: str = "") -> Iterator[tuple[str, str]]:
@@ -251,7 +253,7 @@ def _flatten(value: object, name: str = "") -> Iterator[tuple[str, str]]:
         yield name, "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
-def _read_parquet(path: Path) -> Cells:
+def _read_parquet(path: Path) -> TableCells:
     import pandas as pd
 
     if not path.is_file():
@@ -269,10 +271,10 @@ def _read_parquet(path: Path) -> Cells:
     return cells_from_frame(table if table.index.name is None else table.reset_index(), path)
 
 
-def cells_from_frame(table: pd.DataFrame, path: Path) -> Cells:
+def cells_from_frame(table: pd.DataFrame, path: Path) -> TableCells:
     """Return the cells of a DataFrame, rows counted as lines under a header."""
     rows = tuple(tuple(map(_write_value, row)) for row in table.itertuples(index=False, name=None))
-    return Cells(path, tuple(map(str, table.columns)), rows, tuple(range(2, len(rows) + 2)))
+    return TableCells(path, tuple(map(str, table.columns)), rows, tuple(range(2, len(rows) + 2)))
 
 
 def _write_value(value: Any) -> str:

@@ -45,6 +45,7 @@ TURNS: Final = ("rx", "ry", "offset")
 HARMONICS: Final = {"s1": (np.sin, 1), "c1": (np.cos, 1), "s2": (np.sin, 2), "c2": (np.cos, 2)}
 N_M: Final = 1e-3  # per N mm
 PER_MILLION: Final = 1e-6
+NO_ENDS: Final = (-np.inf, np.inf)
 FULL_TURN: Final = np.pi  # either way, of a joint whose range nobody says
 
 
@@ -179,7 +180,13 @@ class Arm(ReadingMachine):
             Coordinate(f"q{k}", unit, (low + high) / 2.0, (high - low) / 2.0)
             for k, (unit, (low, high)) in enumerate(zip(units, ends, strict=True), start=1)
         ]
-        self.channels = [Channel(f"joint[{k}]", unit) for k, unit in enumerate(units, start=1)]
+        own = zip(units, joints, config.joints or (None,) * n, strict=True)
+        self.channels = [  # a row's range counts where somebody states it
+            Channel(
+                f"joint[{k}]", unit, ends=joint.ends if row is None or "range_deg" in row.model_fields_set else NO_ENDS
+            )
+            for k, (unit, joint, row) in enumerate(own, start=1)
+        ]
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what commands, or encoders, of the joints read."""
