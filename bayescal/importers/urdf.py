@@ -30,7 +30,6 @@ OPTIONS: Final = ("base", "tip", "instrument")
 N_POSES, TRIES, STEPS = 40, 2000, 60
 NEAR_MM = 1e-4
 SAME = 3  # digits of rad or mm, to which configurations are the same
-LONGEST_MM = 1e5
 INNER = 0.95  # of the joints' ranges
 DAMPING, LONGEST_STEP = 10.0, 0.3  # mm²; rad or mm
 AUDIT = """# What would {by} tell of the arm's joints and links?
@@ -88,9 +87,6 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     config = ArmConfig.model_validate({"urdf": path.name, **section}, context={FOLDER: path.parent})
     name = name_arm(path)
     model, file = FunctionModel(name, Arm(config)), f"{name}.urdf"
-    reach = np.linalg.norm(model.tool_values(model.layout.nominal, model.home_pose)[:3])
-    if reach > LONGEST_MM:
-        raise InputError(f"{path}: found a tip {reach / 1e3:.0f} m from the base, expected lengths in metres")
     n, names = len(chain.joints), ", ".join(one.name for one in chain.joints)
     place = _choose_place(model)
     rows = _seat(model, place) if instrument == SOCKET else _spread(model, N_POSES)

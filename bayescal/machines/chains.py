@@ -22,7 +22,7 @@ from bayescal.numerics.geometry import Array
 
 MM = 1e3  # per metre
 MOVING = ("revolute", "continuous", "prismatic")
-FURTHEST = 1e5  # mm from one joint to the next, beyond which a file is in another unit
+FURTHEST = 1e5  # mm from one joint to the next, or along all of them, beyond which a file is in another unit
 SHORTEST_AXIS = 1e-9
 LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still
@@ -81,6 +81,11 @@ class Chain:
 
     joints: Sequence[Joint]
     tip: Place
+
+    @property
+    def length(self) -> float:
+        """From joint to joint and to the tip, mm."""
+        return sum(float(np.linalg.norm(one.position)) for one in (*(it.place for it in self.joints), self.tip))
 
 
 @dataclass(frozen=True)
@@ -192,7 +197,10 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
             raise InputError(f"{path}: found no chain from link {base!r} to {tip!r}, which is below {here!r}")
         chosen.insert(0, into[here])
         here = _name_link(path, into[here], "parent")
-    return _make_chain(path, chosen, links)
+    chain = _make_chain(path, chosen, links)
+    if chain.length > FURTHEST:
+        raise InputError(f"{path}: found an arm of {chain.length / MM:.0f} m, expected lengths in metres")
+    return chain
 
 
 def _index(path: Path, root: Element, tag: str) -> dict[str, Element]:

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.config.load import FOLDER
 from bayescal.config.sections import InputFile, NotNegative, Number, Section, Vector
-from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
+from bayescal.machines.chains import FURTHEST, Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import POSE_CHANNELS, Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
@@ -113,6 +113,8 @@ class ArmConfig(Section):
             if self.base or self.tip:
                 raise ValueError("found base or tip beside joints, expected them beside urdf")
             self._chain = self._chain_rows()
+            if self._chain.length > FURTHEST:
+                raise ValueError(f"found an arm of {self._chain.length / 1e3:.0f} m, expected lengths in mm")
         if not any(self.down):
             raise ValueError("down: found a zero vector, expected a direction")
         n, names = len(self._chain.joints), [one.name for one in self._chain.joints]
