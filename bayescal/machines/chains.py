@@ -18,11 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.errors import InputError
+from bayescal.limits import LONGEST
 from bayescal.numerics.geometry import Array
 
 MM = 1e3  # per metre
 MOVING = ("revolute", "continuous", "prismatic")
-FURTHEST = 1e5  # mm from one joint to the next, or along all of them, beyond which a file is in another unit
+FURTHEST = LONGEST  # mm from one joint to the next, or along all of them, beyond which a file is in another unit
 SHORTEST_AXIS = 1e-9
 LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still

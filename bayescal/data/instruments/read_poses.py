@@ -66,8 +66,6 @@ def read_taken(table: CsvTable, path: Path | None, columns: Columns) -> PoseReco
         )
     uses = read_uses(table) if "use" in table.columns else None
     if path is None:
-        if uses is None and listed:
-            raise InputError(f"{table.path}: found no column 'use' with the actuator positions, expected one")
         uses = np.zeros(len(names), dtype=bool) if uses is None else uses
         check_calibration(table.path, uses)
         return PoseRecords(tuple(names), uses, read_positions(table, columns))
