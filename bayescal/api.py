@@ -18,6 +18,7 @@ import numpy as np
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.runner.load import load
+from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machine_files import AnyMachine, MachineFiles, load_machine
 from bayescal.machines.readings import Channel
 from bayescal.numerics.units import units_like
@@ -46,7 +47,7 @@ class Data:
 
     Parameters
     ----------
-    table : DataFrame or mapping of its columns, or the CSV file of one
+    table : DataFrame or mapping of its columns, or the file of one
         A row a pose; columns by channel and unit such as ``s_1_mm``, what is given of each row, and optionally ``pose``
         (names; else the index) and ``use`` (``calibration`` or ``verification``). Empty cells were not read.
     noise : mapping
@@ -84,13 +85,16 @@ class Data:
         """The readings, a row a pose."""
         import pandas as pd
 
-        return pd.read_csv(self.source, comment="#") if isinstance(self.source, Path) else self.source
+        if not isinstance(self.source, Path):
+            return self.source
+        read = read_table(self.source, None)
+        return pd.read_csv(StringIO(format_table((), read.columns, read.rows)))
 
     def state(self, stated: StatedExperiment, channels: Sequence[Channel]) -> None:
         """Add the readings of a machine's channels to an experiment."""
         name = stated.add_table(self.source, READINGS, "data")
         columns: Sequence[str] = ()
-        with suppress(OSError, ValueError):  # the reader of the config says it better
+        with suppress(InputError):  # the reader of the config says it better
             columns = list(self.table.columns)
         options = {
             "channels": [one for one in self.noise if any(one in (channel.name, channel.kind) for channel in channels)],

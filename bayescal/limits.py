@@ -46,6 +46,8 @@ FAR_AWAY = 1e6
 # what configs may say
 LARGEST = 1e9
 """Beyond it, or as close to zero, a number is a slip, and overflows when squared often enough."""
+LONGEST = 1e5
+"""Millimetres of an arm or of a printer's rod: a hundred metres, beyond which lengths are in another unit."""
 LARGEST_FACTOR = 1000.0
 """By which something is varied; the inverse is the smallest."""
 LARGEST_KAPPA = 1.0

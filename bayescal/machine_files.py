@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from bayescal.config.trust import vouch
 from bayescal.errors import InputError
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
+from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm
 from bayescal.machines.mechanism import Mechanism
 from bayescal.machines.read import load_mechanism, read_reading_model
@@ -96,10 +97,13 @@ class MachineFiles:
         )
 
 
-def load_machine(machine: AnyMachine, *, base: str = "", tip: str = "") -> MachineFiles:
-    """Return a machine: of its TOML file, of an arm's URDF file, or of a user's class, or an instance of it.
+def load_machine(
+    machine: AnyMachine, *, base: str = "", tip: str = "", arguments: Mapping[str, str] | None = None
+) -> MachineFiles:
+    """Return a machine: of its TOML file, of an arm's URDF or xacro file, or of a user's class, or an instance of it.
 
-    ``base`` and ``tip`` are links of a URDF file; by default its root and its only leaf.
+    ``base`` and ``tip`` are links of a URDF file; by default its root and its only leaf. ``arguments`` are those of a
+    xacro file, which `xacrodoc` expands once its user has trusted it.
 
     Raises
     ------
@@ -121,10 +125,16 @@ def load_machine(machine: AnyMachine, *, base: str = "", tip: str = "") -> Machi
         return machine
     if (base or tip) and not _is_urdf(machine):
         raise InputError(f"{machine}: found base or tip, expected them with a URDF file alone")
+    if arguments and not str(machine).lower().endswith(SUFFIX):
+        raise InputError(f"{machine}: found arguments, expected them with a xacro file alone")
     if _is_urdf(machine):
         path = Path(machine)  # type: ignore[arg-type]
         try:
             files = {path.name: path.read_bytes()}
+            if path.suffix.lower() == SUFFIX:
+                expanded = expand(path, arguments or {})
+                path = path.with_name(name_urdf(path))
+                files = {path.name: expanded}
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}, expected a URDF file") from error
         named = {key: value for key, value in (("base", base), ("tip", tip)) if value}
@@ -149,7 +159,7 @@ def load_machine(machine: AnyMachine, *, base: str = "", tip: str = "") -> Machi
 
 
 def _is_urdf(machine: AnyMachine) -> bool:
-    return isinstance(machine, str | Path) and Path(machine).suffix.lower() == ".urdf"
+    return isinstance(machine, str | Path) and Path(machine).suffix.lower() in (".urdf", SUFFIX)
 
 
 def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:

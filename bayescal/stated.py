@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, SeveralFaultsError
 from bayescal.experiments.runner.load import check_content
 from bayescal.files.memory import MemoryPath, write_tree
+from bayescal.files.table_files import list_beside
 from bayescal.files.toml import write_toml
 
 if TYPE_CHECKING:
@@ -32,13 +34,15 @@ type Table = pd.DataFrame | Mapping[str, Any] | Path | str
 class StatedExperiment:
     """An experiment that a call states: the content of its config, and the files that this names.
 
-    ``labels`` are what the caller knows parts of it by: of a file its argument or its path, of a key its argument.
+    ``labels`` are what the caller knows parts of it by: of a file its argument or its path, of a key its argument;
+    ``frames`` the files that are tables given in Python.
     ``file`` is the config's own name beside the files.
     """
 
     content: dict[str, Any] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     labels: dict[str, str] = field(default_factory=lambda: dict(ARGUMENTS))
+    frames: set[str] = field(default_factory=set)
     file: str = CONFIG
 
     def state(self, **sections: object) -> None:
@@ -63,10 +67,20 @@ class StatedExperiment:
         name = path.as_posix()
         self.labels[name] = str(table) if isinstance(table, Path) else label
         if not isinstance(table, Path):
+            self.frames.add(name)
             self.files[name] = name_rows(table).to_csv(index=False).encode()
         elif table.is_file():  # of one that is not there the reader says so
             self.files[name] = table.read_bytes()
+            for beside in list_beside(table.name, table.parent)[1:]:
+                self._add_beside(table.parent / beside, os.path.normpath(path.parent / beside))
         return name
+
+    def _add_beside(self, path: Path, name: str) -> None:
+        """Keep the table that a TOML file names."""
+        content = path.read_bytes() if path.is_file() else None
+        if content is not None and self.files.setdefault(name, content) != content:
+            raise InputError(f"{path}: found another table of this name, expected one")
+        self.labels[name] = str(path)
 
     @property
     def root(self) -> MemoryPath:
@@ -90,7 +104,7 @@ class StatedExperiment:
         for name in sorted(self.labels, key=len, reverse=True):
             if re.match(rf"{re.escape(name)}(?![\w/])", said):
                 rest, label = said[len(name) :], self.labels[name]
-                if name in self.files and not label.endswith(".csv"):
+                if name in self.frames:
                     rest = re.sub(r"\bline (\d+)", lambda found: f"row {int(found[1]) - 1}", rest)
                 return label + rest
         return said

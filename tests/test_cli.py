@@ -107,7 +107,7 @@ def test_wrong_usage(refuse_here, study, arguments, expected):
         ("study.toml", "seed = 11", '"a\\nb" = 11', "unknown key"),
         ("study.toml", "data/targets.csv", "data/target.csv", "data/target.csv: no such file"),
         ("mechanism.toml", "radius_mm = 155.0", "radius_cm = 15.5", "mechanism.toml, line 7: base.radius_cm: unknown"),
-        ("data/targets.csv", "x_mm", "x_m", "data/targets.csv, line 3: found column 'x_m', did you mean 'x_mm'?"),
+        ("data/targets.csv", "x_mm", "x_in", "data/targets.csv, line 3: found column 'x_in', did you mean 'x_mm'?"),
         ("data/targets.csv", "C01,base,B02,", "C01,base,B02,?", "data/targets.csv, line 5: x_mm: found '?"),
         ("data/actuators.csv", "C02,", "C01,", "data/actuators.csv, line 5: pose 'C01' is already on line 4"),
         ("data/actuators.csv", "rho_6_mm", "rho_6", "data/actuators.csv, line 3: found column 'rho_6'"),

@@ -92,7 +92,7 @@ def list_columns(wanted: Sequence[Channel | Coordinate], prefix: str = "") -> li
 
 def read_named(path: Path, known: Sequence[str], expected: Sequence[str]) -> tuple[CsvTable, tuple[str, ...]]:
     """Return a table with a column ``pose`` and others out of those known, and the poses' names, each once."""
-    table = read_table(path, None)
+    table = read_table(path, None).convert(known)
     for name in table.columns:
         if name not in ("pose", *known):
             close = difflib.get_close_matches(name, ("pose", *known), n=1, cutoff=0.4)

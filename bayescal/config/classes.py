@@ -22,6 +22,7 @@ from bayescal.config.load import FOLDER, check_section, describe_unknown_key
 from bayescal.config.registry import find_class, is_own, list_references, list_sources, load_class
 from bayescal.config.sections import FileMark, Section
 from bayescal.errors import BayescalError, InputError
+from bayescal.files.table_files import list_beside
 
 CLASS = "class"
 UNFIT = re.compile(r"[^A-Za-z0-9_.-]")
@@ -204,13 +205,16 @@ def name_failures(found: type, field: str) -> Iterator[None]:
 
 
 def find_files(section: Section, folder: Path) -> list[str]:
-    """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes."""
+    """Return the names in all fields of a config that are marked as `InputFile`, and the files of its classes.
+
+    With the TOML file of a table comes the table.
+    """
     found: list[str] = []
     for one, mark in _walk(section):
         if isinstance(one, ClassName):
             found += list_sources(one.registry, one, folder)
         elif isinstance(one, str) and mark is not None and one not in mark.but:
-            found.append(one)
+            found += list_beside(one, folder)
     return list(dict.fromkeys(found))
 
 

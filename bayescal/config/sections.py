@@ -12,7 +12,16 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator
 
 from bayescal.files.plain_text import is_plain
-from bayescal.limits import BOUNDS, LARGEST, LARGEST_FACTOR, LARGEST_SEED, LONGEST_NAME, LONGEST_TEXT, NOISE_BOUNDS
+from bayescal.limits import (
+    BOUNDS,
+    LARGEST,
+    LARGEST_FACTOR,
+    LARGEST_SEED,
+    LONGEST,
+    LONGEST_NAME,
+    LONGEST_TEXT,
+    NOISE_BOUNDS,
+)
 
 
 def check_once[T: list[Any]](values: T) -> T:
@@ -25,6 +34,7 @@ def check_once[T: list[Any]](values: T) -> T:
 
 type Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST)]
 type Positive = Annotated[FiniteFloat, Field(gt=0, ge=1 / LARGEST, le=LARGEST)]
+type Length = Annotated[FiniteFloat, Field(gt=0, ge=1 / LARGEST, le=LONGEST)]
 type Factor = Annotated[FiniteFloat, Field(ge=1 / LARGEST_FACTOR, le=LARGEST_FACTOR)]
 type NotNegative = Annotated[FiniteFloat, Field(ge=0, le=LARGEST)]
 type PerLeg = Number | list[Number]

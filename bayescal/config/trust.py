@@ -159,9 +159,11 @@ def _read_kept() -> dict[str, str]:
 def list_code(folder: Path) -> list[Path]:
     """Return the files whose code configs and results in a folder or below name, with what these import from beside.
 
-    Nothing is imported for it.
+    Nothing is imported for it. Files of xacro evaluate expressions, those of YAML beside them too.
     """
     found: dict[Path, None] = {}
+    if any(folder.rglob("*.xacro")):
+        found |= {path.resolve(): None for end in ("xacro", "yaml", "yml") for path in sorted(folder.rglob(f"*.{end}"))}
     for path in sorted(folder.rglob("*.toml")):  # results keep their config
         for name in _list_named(path):
             file = path.parent / name

@@ -10,6 +10,7 @@ import numpy as np
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import CsvTable, read_matrix, read_table
 from bayescal.machines.readings import Channel
+from bayescal.machines.readings.base import narrow_range
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
 
@@ -63,14 +64,37 @@ def read_uses(table: CsvTable) -> np.ndarray:
 def check_travel(actuators: Array, limits: Array, channels: Sequence[Channel], names: Sequence[str]) -> None:
     """Raise InputError where positions (P, N) lie beyond the limits (N, 2) of commanded channels, where there are any.
 
-    Lengths and others are looked at by themselves; the message names a leg's channel by its leg.
+    Limits are no wider than the ends of the channels' readings. Lengths and others are looked at by themselves; the
+    message names a leg's channel by its leg.
     """
+    limits = narrow_range(limits, channels)
     for unit in dict.fromkeys(one.unit for one in channels):
         some = [k for k, one in enumerate(channels) if one.unit == unit and np.isfinite(limits[k]).all()]
         middle, reach = limits[some].mean(axis=1), 0.5 * np.ptp(limits[some], axis=1)
         words = [f"leg {channels[k].name[4:-1]}" if channels[k].kind == "rho" else channels[k].name for k in some]
         if some:
             check_range(actuators[:, some], middle, reach, names, words, unit)
+
+
+def check_ends(table: CsvTable, column: str, channel: Channel, values: Array, factor: float) -> None:
+    """Raise InputError for the first reading of a column (P,) beyond the ends of its channel's.
+
+    ``factor`` is the size of the column's unit in the channel's; NaN is no reading. Readings of the machine's own
+    channels have a margin, since their zeros are not known.
+    """
+    low, high = (one / factor for one in channel.ends)
+    margin = 0.0 if channel.external or not np.isfinite(high - low) else 0.5 * OVERTRAVEL * (high - low)
+    wrong = (values < low - margin) | (values > high + margin)
+    if wrong.any():
+        turned = np.radians(values[np.isfinite(values)])
+        degrees = column.endswith("_rad") and np.all((turned >= low) & (turned <= high))
+        hint = "; degrees?" if degrees and np.ptp(turned) > STIRRING * (high - low) else ""
+        table.refuse(
+            wrong,
+            lambda row: (
+                f"{column}: found {values[row]:g}, expected {low:g} to {high:g}, all that {channel.name} can read{hint}"
+            ),
+        )
 
 
 def check_range(

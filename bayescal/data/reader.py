@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bayescal.config.sections import Section
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import CsvTable
+from bayescal.files.table_files import cells_from_frame
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,5 +55,5 @@ def read_with(reader: TableReader, path: Path) -> CsvTable:
         raise InputError(f"{where}: found {type(table).__name__}, expected a DataFrame")
     if not len(table):
         raise InputError(f"{where}: found no rows, expected some")
-    rows = tuple(tuple("" if one != one else str(one) for one in row) for row in table.itertuples(index=False))
-    return CsvTable(path, tuple(map(str, table.columns)), rows, tuple(range(2, len(rows) + 2)))
+    cells = cells_from_frame(table, path)
+    return CsvTable(path, cells.header, cells.rows, cells.lines)

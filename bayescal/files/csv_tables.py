@@ -1,27 +1,26 @@
-"""CSV tables with their line numbers: every fault is named with its file and line.
+"""Tables with their line numbers: every fault is named with its file and line.
 
 Lines that start with ``#`` are comments; the first other line names the columns, with their units.
 """
 
 from __future__ import annotations
 
-import csv
 import difflib
 import math
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bayescal.errors import InputError
-from bayescal.files.atomic import read_text
 from bayescal.files.plain_text import guard_cell, is_plain, release_cell
+from bayescal.files.table_files import DECIMAL_COMMA, read_cells
 from bayescal.numerics.geometry import Array
+from bayescal.numerics.units import ANGLES, LENGTHS
 
 LEG_NUMBER = re.compile(r"(?:^|[^0-9])([1-9][0-9]*)(?=_|$)")
-SEPARATORS = {";": "semicolons", "\t": "tabs"}
 SHOWN = 12  # columns that may be there, listed in a message
 LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
@@ -29,7 +28,7 @@ LARGEST = 1e9
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Text cells of a CSV file with the line each row stands on."""
+    """Text cells of a table's file with the line each row stands on."""
 
     path: Path
     columns: tuple[str, ...]
@@ -63,6 +62,16 @@ class CsvTable:
                 result[number, k] = np.nan if empty else self._number(row[column], number, columns[k])
         return result
 
+    def convert(self, known: Collection[str]) -> CsvTable:
+        """Return the same with lengths and angles in the units of known columns: ``x_m`` is ``x_mm`` then."""
+        table = self
+        for name, (wanted, factor) in find_units(self.columns, known).items():
+            k, values = self.columns.index(name), self.numbers([name], gaps=True)[:, 0]
+            cells = ["" if np.isnan(one) else repr(float(factor * one)) for one in values]
+            rows = tuple((*row[:k], cell, *row[k + 1 :]) for row, cell in zip(table.rows, cells, strict=True))
+            table = replace(table, columns=(*table.columns[:k], wanted, *table.columns[k + 1 :]), rows=rows)
+        return table
+
     def positive(self, columns: Sequence[str]) -> Array:
         """Return columns as `numbers` does; zero or less is an error, too."""
         result = self.numbers(columns)
@@ -95,7 +104,8 @@ class CsvTable:
         try:
             value = float(cell.replace("_", "?"))  # Python would read 1_0 as ten
         except ValueError as error:
-            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()!r}, expected a number") from error
+            hint = " with a decimal point, or a TOML file with decimal = ','" if DECIMAL_COMMA.fullmatch(cell) else ""
+            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()!r}, expected a number{hint}") from error
         if not math.isfinite(value):
             raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected a finite number")
         if abs(value) > LARGEST:
@@ -104,39 +114,41 @@ class CsvTable:
 
 
 def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str] = ()) -> CsvTable:
-    """Read a CSV file with these columns, in any order, and some that may be there; None takes them as they are.
+    """Read a table with these columns, in any order, and some that may be there; None takes them as they are.
 
-    InputError for a missing or unreadable file, an unknown or missing column, a row of another length, or no rows; a
-    quoted cell must end on its line.
+    A column in another unit, as ``x_m`` is of ``x_mm``, is converted. InputError for a missing or unreadable file, an
+    unknown or missing column, a row of another length, or no rows; a quoted cell must end on its line. A TOML file may
+    stand for one that is no comma CSV, see `table_files`.
     """
-    text = read_text(path, "a CSV table")
-    numbered = [(n, row) for n, row in enumerate(text.splitlines(), start=1) if row.strip() and not row.startswith("#")]
-    if not numbered:
-        raise InputError(f"{path}: found no header, expected {', '.join(columns or ['...'])}")
-    parsed: list[tuple[str, ...]] = []
-    for line, row in numbered:
-        try:
-            parsed.append(tuple(next(csv.reader([row], strict=True))))
-        except csv.Error as error:
-            raise InputError(f"{path}, line {line}: not a CSV row ({error})") from error
-    line, row = numbered[0]
-    sign = next((sign for sign in SEPARATORS if sign in row and "," not in row), "")
-    header = tuple(cell.strip() for cell in (row.split(sign) if sign else parsed[0]))
-    faults = _list_header_faults(header, columns, optional)
-    if sign:
-        faults.insert(0, f"found cells separated by {SEPARATORS[sign]}, expected commas, and decimal points")
+    cells = read_cells(path, ", ".join(columns or ["..."]))
+    if columns is None or "pose" in columns:
+        cells = cells.name_rows()
+    known = (*(columns or ()), *optional)
+    units = find_units(cells.header, known)
+    faults = [cells.fault] if cells.fault else []
+    faults += _list_header_faults([units.get(one, (one,))[0] for one in cells.header], columns, optional)
     if faults:
-        first, *others = (f"{path}, line {line}: {fault}" for fault in faults)
+        first, *others = (f"{cells.path}, line {cells.header_line}: {fault}" for fault in faults)
         raise InputError(first, others)
-    for (line, _), cells in zip(numbered[1:], parsed[1:], strict=True):
-        if len(cells) != len(header):
-            raise InputError(f"{path}, line {line}: found {len(cells)} cells, expected {len(header)}")
-    if len(parsed) == 1:
-        raise InputError(f"{path}: found no rows, expected some")
-    return CsvTable(path, header, tuple(parsed[1:]), tuple(line for line, _ in numbered[1:]))
+    cells.check_lengths()
+    if not cells.rows:
+        raise InputError(f"{cells.path}: found no rows, expected some")
+    return CsvTable(cells.path, cells.header, cells.rows, cells.lines).convert(known)
 
 
-def _list_header_faults(header: tuple[str, ...], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:
+def find_units(columns: Sequence[str], known: Collection[str]) -> dict[str, tuple[str, float]]:
+    """Return the columns that are known in another unit: by name what they are there, and the factor to its unit."""
+    found = dict[str, tuple[str, float]]()
+    for name in columns:
+        stem, _, unit = name.rpartition("_")
+        sizes = next((units for units in (LENGTHS, ANGLES) if unit in units), {})
+        for other, size in sizes.items():
+            if name not in known and f"{stem}_{other}" in known:
+                found.setdefault(name, (f"{stem}_{other}", float(sizes[unit]) / float(size)))
+    return found
+
+
+def _list_header_faults(header: Sequence[str], columns: Sequence[str] | None, optional: Sequence[str]) -> list[str]:
     """Return what is wrong with a header's names, the first of several first."""
     faults = ["found a column twice, expected it once"] if len(set(header)) != len(header) else []
     if columns is None:
@@ -165,14 +177,13 @@ def read_matrix(path: Path, n_columns: int) -> Array:
     The columns say which leg they are of, as in ``drho_1`` or ``rho_6_mm``; their order in the file does not matter.
     """
     table = read_table(path, None)
-    if len(table.columns) != n_columns:
-        raise InputError(f"{path}: found {len(table.columns)} columns, expected {n_columns}, one per leg")
-    legs = [LEG_NUMBER.search(name) for name in table.columns]
-    by_leg = {int(leg[1]): name for leg, name in zip(legs, table.columns, strict=True) if leg}
+    names = [one for one in table.columns if one != "pose"]
+    if len(names) != n_columns:
+        raise InputError(f"{path}: found {len(names)} columns, expected {n_columns}, one per leg")
+    legs = [LEG_NUMBER.search(name) for name in names]
+    by_leg = {int(leg[1]): name for leg, name in zip(legs, names, strict=True) if leg}
     if set(by_leg) != set(range(1, n_columns + 1)):
-        raise InputError(
-            f"{path}: found columns {', '.join(table.columns)}, expected one per leg, drho_1 to drho_{n_columns}"
-        )
+        raise InputError(f"{path}: found columns {', '.join(names)}, expected one per leg, drho_1 to drho_{n_columns}")
     return table.numbers([by_leg[leg] for leg in sorted(by_leg)])
 
 

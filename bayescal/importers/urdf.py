@@ -2,7 +2,7 @@
 
 A URDF file holds a machine and no readings. With ``instrument = socket``, which holds where nothing is said, a ball at
 the tip sits in a socket, at configurations that lead it there within the joints' limits; with ``tracker`` the tip is
-seen at configurations all over these.
+seen at configurations all over these. A xacro file is expanded first; options that are none of these are its arguments.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ import numpy as np
 from bayescal.config.load import FOLDER
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
+from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
 from bayescal.importers import Project
+from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm, read_urdf
 from bayescal.machines.readings.arm import Arm, ArmConfig
 from bayescal.machines.readings.function import FunctionModel
@@ -28,7 +30,6 @@ OPTIONS: Final = ("base", "tip", "instrument")
 N_POSES, TRIES, STEPS = 40, 2000, 60
 NEAR_MM = 1e-4
 SAME = 3  # digits of rad or mm, to which configurations are the same
-LONGEST_MM = 1e5
 INNER = 0.95  # of the joints' ranges
 DAMPING, LONGEST_STEP = 10.0, 0.3  # mm²; rad or mm
 AUDIT = """# What would {by} tell of the arm's joints and links?
@@ -70,6 +71,12 @@ def recognise(name: str, text: str) -> bool:
 
 def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     """Return an arm and an audit as a project; InputError, with the line, for a file without a chain of joints."""
+    if path.suffix.lower() == SUFFIX:
+        name = name_urdf(path)
+        arguments = {key: value for key, value in options.items() if key not in OPTIONS}
+        expanded = {name: expand(path, arguments)}
+        kept = {key: value for key, value in options.items() if key in OPTIONS}
+        return convert(MemoryPath(name, files=expanded), "", kept)
     for key in set(options) - {*OPTIONS}:
         raise InputError(f"--option {key}: found it, expected one of {', '.join(OPTIONS)}")
     instrument = options.get("instrument", SOCKET)
@@ -80,9 +87,6 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     config = ArmConfig.model_validate({"urdf": path.name, **section}, context={FOLDER: path.parent})
     name = name_arm(path)
     model, file = FunctionModel(name, Arm(config)), f"{name}.urdf"
-    reach = np.linalg.norm(model.tool_values(model.layout.nominal, model.home_pose)[:3])
-    if reach > LONGEST_MM:
-        raise InputError(f"{path}: found a tip {reach / 1e3:.0f} m from the base, expected lengths in metres")
     n, names = len(chain.joints), ", ".join(one.name for one in chain.joints)
     place = _choose_place(model)
     rows = _seat(model, place) if instrument == SOCKET else _spread(model, N_POSES)

@@ -18,11 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayescal.errors import InputError
+from bayescal.limits import LONGEST
 from bayescal.numerics.geometry import Array
 
 MM = 1e3  # per metre
 MOVING = ("revolute", "continuous", "prismatic")
-FURTHEST = 1e5  # mm from one joint to the next, beyond which a file is in another unit
+FURTHEST = LONGEST  # mm from one joint to the next, or along all of them, beyond which a file is in another unit
 SHORTEST_AXIS = 1e-9
 LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still
@@ -81,6 +82,11 @@ class Chain:
 
     joints: Sequence[Joint]
     tip: Place
+
+    @property
+    def length(self) -> float:
+        """From joint to joint and to the tip, mm."""
+        return sum(float(np.linalg.norm(one.position)) for one in (*(it.place for it in self.joints), self.tip))
 
 
 @dataclass(frozen=True)
@@ -170,7 +176,7 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
         raise InputError(f"{path}, line {root.line}: found <{root.tag}>, expected <robot>")
     for one in root.children:
         if one.tag.startswith("xacro:"):
-            raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: expand it with xacro first")
+            raise InputError(f"{path}, line {one.line}: found <{one.tag}>, expected URDF: bayescal init expands it")
     links, joints = (_index(path, root, tag) for tag in ("link", "joint"))
     into = dict[str, Element]()
     for one in joints.values():
@@ -192,7 +198,10 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
             raise InputError(f"{path}: found no chain from link {base!r} to {tip!r}, which is below {here!r}")
         chosen.insert(0, into[here])
         here = _name_link(path, into[here], "parent")
-    return _make_chain(path, chosen, links)
+    chain = _make_chain(path, chosen, links)
+    if chain.length > FURTHEST:
+        raise InputError(f"{path}: found an arm of {chain.length / MM:.0f} m, expected lengths in metres")
+    return chain
 
 
 def _index(path: Path, root: Element, tag: str) -> dict[str, Element]:

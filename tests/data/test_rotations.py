@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bayescal.data.instruments.read_poses import SEQUENCES, name_angles, read_rotation_vectors
+from bayescal.data.instruments.read_poses import MATRIX, SEQUENCES, name_angles, read_rotation_vectors
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import read_table
 
@@ -23,6 +23,9 @@ def write(path, columns, values):
         (("rx_deg", "ry_deg", "rz_deg"), np.degrees(TURNS.as_rotvec())),
         (("qx", "qy", "qz", "qw"), TURNS.as_quat()),
         (("qx", "qy", "qz", "qw"), -TURNS.as_quat()),
+        (("rx_rad", "ry_rad", "rz_rad"), TURNS.as_rotvec()),
+        (("roll_rad", "pitch_rad", "yaw_rad"), TURNS.as_euler("xyz")),
+        (MATRIX, TURNS.as_matrix().reshape(-1, 9)),
         (("roll_deg", "pitch_deg", "yaw_deg"), TURNS.as_euler("xyz", degrees=True)),
         (("yaw_deg", "pitch_deg", "roll_deg"), TURNS.as_euler("ZYX", degrees=True)),
         (name_angles("XYZ"), TURNS.as_euler("XYZ", degrees=True)),
@@ -56,6 +59,16 @@ def test_a_rotation_that_was_not_measured_is_none(tmp_path):
         ("qw,qx,qy\n1,0,0\n", "found column 'qw' without 'qz'"),
         ("qw,qx,qy,qz\n2,0,0,0\n", "line 2: found a quaternion of length 2, expected 1"),
         ("roll_deg,pitch_deg,yaw_deg\n1,2,\n", "line 2: found part of a rotation"),
+        (
+            f"{','.join(MATRIX)}\n1,0,0,0,1,0,0,0,-1\n",
+            "line 2: found a matrix of determinant -1, expected 1: mirrored",
+        ),
+        (
+            f"{','.join(MATRIX)}\n1,0,0,0,1.01,0,0,0,1\n",
+            "line 2: found a matrix whose columns are off unit axes by 0.02",
+        ),
+        ("roll_rad,pitch_rad,yaw_rad\n0,0,0\n1,2,90\n", "line 3: found an angle of .* degrees in columns of radians?"),
+        ("rx_rad\n90\n", "found a rotation vector of .* degrees in columns of radians?"),
         ("rx_deg\n190\n", "found a rotation vector of 190 deg, expected at most 180"),
     ],
 )

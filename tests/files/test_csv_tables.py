@@ -33,7 +33,7 @@ def fail(path: Path, columns: tuple[str, ...] | None = COLUMNS) -> str:
         ("", "found no header, expected pose, x_mm, y_mm"),
         ("# only a comment\n", "found no header"),
         ("pose,x_mm,y_mm\n", "found no rows"),
-        ("# note\npose,x_m,y_mm\nA,1,2\n", "line 2: found column 'x_m', did you mean 'x_mm'?, expected pose, x_mm"),
+        ("# note\npose,x_in,y_mm\nA,1,2\n", "line 2: found column 'x_in', did you mean 'x_mm'?, expected pose, x_mm"),
         ("pose,x_mm\nA,1\n", "line 1: found no column 'y_mm', expected pose, x_mm, y_mm"),
         ("pose,x_mm,y_mm,y_mm\nA,1,2,3\n", "line 1: found a column twice"),
         ("pose,x_mm,y_mm,colour\nA,1,2,3\n", "line 1: found column 'colour'"),

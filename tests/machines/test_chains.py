@@ -121,7 +121,11 @@ FAULTS = {
     "no type": (' type="continuous"', "", "line 30: joint 'spin': found type '', expected one of revolute"),
     "two above": ('<child link="flange"/>', '<child link="hand"/>', "line 34: link 'hand': found two joints above it"),
     "no robot": ("robot", "machine", "line 2: found <machine>, expected <robot>"),
-    "xacro": ('<link name="floor"/>', "<xacro:arm/>", "line 3: found <xacro:arm>, expected URDF: expand it with xacro"),
+    "xacro": (
+        '<link name="floor"/>',
+        "<xacro:arm/>",
+        "line 3: found <xacro:arm>, expected URDF: bayescal init expands it",
+    ),
     "type": ('<?xml version="1.0"?>', "<!DOCTYPE robot [<!ENTITY a 'b'>]>", "line 1: found a document type"),
     "text": ('xyz="0.4 0 0"', 'xyz="0.4 0 much"', "line 31: xyz: found '0.4 0 much', expected 3 numbers"),
     "two": ('rpy="1.5 0 -0.2"', 'rpy="1.5 0"', "line 31: rpy: found '1.5 0', expected 3 numbers"),

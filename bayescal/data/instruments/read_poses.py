@@ -8,6 +8,7 @@ A turn of the platform out of the base's axes, R, takes coordinates on the platf
 
 - ``rx_deg, ry_deg, rz_deg``: the rotation vector, axis times angle; alone these may be measured in part;
 - ``qw, qx, qy, qz``: the unit quaternion;
+- ``r11, r12 ... r33``: R row by row;
 - ``roll_deg, pitch_deg, yaw_deg``: R = Rz(yaw) Ry(pitch) Rx(roll), about the fixed axes x, y, z one after the other;
 - ``xyz_1_deg, xyz_2_deg, xyz_3_deg``: three angles in any order of axes, by the letters as `scipy.spatial.transform`
   takes them: small ones about the fixed axes, capital ones about axes that turn along.
@@ -27,7 +28,7 @@ from bayescal.data.actuators import Columns, check_calibration, read_actuators, 
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
-from bayescal.files.csv_tables import CsvTable, read_table
+from bayescal.files.csv_tables import CsvTable, find_units, read_table
 from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
@@ -65,8 +66,6 @@ def read_taken(table: CsvTable, path: Path | None, columns: Columns) -> PoseReco
         )
     uses = read_uses(table) if "use" in table.columns else None
     if path is None:
-        if uses is None and listed:
-            raise InputError(f"{table.path}: found no column 'use' with the actuator positions, expected one")
         uses = np.zeros(len(names), dtype=bool) if uses is None else uses
         check_calibration(table.path, uses)
         return PoseRecords(tuple(names), uses, read_positions(table, columns))
@@ -164,6 +163,7 @@ def describe_no_noise(path: Path, columns: str, keys: str) -> str:
 
 VECTOR = ("rx_deg", "ry_deg", "rz_deg")
 QUATERNION = ("qw", "qx", "qy", "qz")
+MATRIX = tuple(f"r{i}{j}" for i in range(1, 4) for j in range(1, 4))
 ROLL_PITCH_YAW = ("roll_deg", "pitch_deg", "yaw_deg")
 FIXED = "xyz"
 SEQUENCES = tuple(
@@ -174,6 +174,8 @@ SEQUENCES = tuple(
 )
 UNIT_LENGTH = 1e-3
 """How far a quaternion's length may be from one: what rounding to three digits leaves."""
+ORTHONORMAL = 3e-3
+"""How far the products of a matrix's columns may be from those of unit axes: the same."""
 
 
 def name_angles(sequence: str) -> tuple[str, str, str]:
@@ -182,17 +184,23 @@ def name_angles(sequence: str) -> tuple[str, str, str]:
 
 
 ANGLES: dict[tuple[str, ...], str] = {ROLL_PITCH_YAW: FIXED, **{name_angles(one): one for one in SEQUENCES}}
-OTHER_COLUMNS = (*QUATERNION, *(name for names in ANGLES for name in names))
+OTHER_COLUMNS = (*QUATERNION, *MATRIX, *(name for names in ANGLES for name in names))
 """Those that a table may have instead of a rotation vector's."""
 
 
 def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
     """Return rotation vectors in rad, shape (P, 3), of the form the table has; NaN where not measured.
 
-    Columns begin with a prefix. InputError for two forms in one table, one that is there in part, a quaternion far from
-    length one, or a rotation vector longer than half a turn.
+    Columns begin with a prefix; angles may be in another unit. InputError for two forms in one table, one that is there
+    in part, a quaternion far from length one, a matrix that is no rotation, a rotation vector longer than half a turn,
+    or angles beyond a whole one.
     """
-    forms = {tuple(f"{prefix}{name}" for name in names): names for names in (VECTOR, QUATERNION, *ANGLES)}
+    forms = {tuple(f"{prefix}{name}" for name in names): names for names in (VECTOR, QUATERNION, MATRIX, *ANGLES)}
+    radians = any(
+        name.endswith("_rad") for name in find_units(table.columns, [one for names in forms for one in names])
+    )
+    hint = "; degrees in columns of radians?" if radians else ""
+    table = table.convert([one for names in forms for one in names])
     found = [names for names in forms if any(name in table.columns for name in names)]
     if len(found) > 1:
         first, second = (next(name for name in names if name in table.columns) for names in found[:2])
@@ -201,7 +209,7 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
         return np.full((len(table.rows), 3), np.nan)
     form = forms[found[0]]
     if form == VECTOR:
-        return _read_vectors(table, found[0])
+        return _read_vectors(table, found[0], hint)
     table.has(found[0])
     values = table.numbers(found[0], gaps=True)
     there = np.isfinite(values)
@@ -214,13 +222,30 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
         wrong = np.abs(length - 1.0) > UNIT_LENGTH  # not of NaN
         table.refuse(wrong, lambda row: f"found a quaternion of length {length[row]:.4g}, expected 1")
         turned = Rotation.from_quat(values[whole], scalar_first=True)
+    elif form == MATRIX:
+        matrix = values.reshape(-1, 3, 3)
+        determinant = np.linalg.det(np.where(whole[:, None, None], matrix, np.eye(3)))
+        table.refuse(
+            determinant < 0.0,
+            lambda row: (
+                f"found a matrix of determinant {determinant[row]:.3g}, expected 1: mirrored, left-handed axes?"
+            ),
+        )
+        off = np.abs(np.swapaxes(matrix, 1, 2) @ matrix - np.eye(3)).max(axis=(1, 2))
+        table.refuse(
+            off > ORTHONORMAL,
+            lambda row: f"found a matrix whose columns are off unit axes by {off[row]:.3g}, expected a rotation",
+        )
+        turned = Rotation.from_matrix(matrix[whole])
     else:
+        largest = np.abs(values).max(axis=1)
+        table.refuse(largest > 360.0, lambda row: f"found an angle of {largest[row]:g} deg, expected at most 360{hint}")
         turned = Rotation.from_euler(ANGLES[form], values[whole], degrees=True)
     result[whole] = turned.as_rotvec()
     return result
 
 
-def _read_vectors(table: CsvTable, names: Sequence[str]) -> Array:
+def _read_vectors(table: CsvTable, names: Sequence[str], hint: str) -> Array:
     values = np.full((len(table.rows), 3), np.nan)
     there = [k for k, name in enumerate(names) if name in table.columns]
     values[:, there] = table.numbers([names[k] for k in there], gaps=True)
@@ -229,7 +254,7 @@ def _read_vectors(table: CsvTable, names: Sequence[str]) -> Array:
         largest > 180.0,
         lambda row: (
             f"found a rotation vector of {largest[row]:g} deg, expected at most 180; other angles "
-            f"have columns such as {', '.join(ROLL_PITCH_YAW)}"
+            f"have columns such as {', '.join(ROLL_PITCH_YAW)}{hint}"
         ),
     )
     return np.radians(values)

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.config.load import FOLDER
 from bayescal.config.sections import InputFile, NotNegative, Number, Section, Vector
-from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
+from bayescal.machines.chains import FURTHEST, Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import POSE_CHANNELS, Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
@@ -45,6 +45,7 @@ TURNS: Final = ("rx", "ry", "offset")
 HARMONICS: Final = {"s1": (np.sin, 1), "c1": (np.cos, 1), "s2": (np.sin, 2), "c2": (np.cos, 2)}
 N_M: Final = 1e-3  # per N mm
 PER_MILLION: Final = 1e-6
+NO_ENDS: Final = (-np.inf, np.inf)
 FULL_TURN: Final = np.pi  # either way, of a joint whose range nobody says
 
 
@@ -112,6 +113,8 @@ class ArmConfig(Section):
             if self.base or self.tip:
                 raise ValueError("found base or tip beside joints, expected them beside urdf")
             self._chain = self._chain_rows()
+            if self._chain.length > FURTHEST:
+                raise ValueError(f"found an arm of {self._chain.length / 1e3:.0f} m, expected lengths in mm")
         if not any(self.down):
             raise ValueError("down: found a zero vector, expected a direction")
         n, names = len(self._chain.joints), [one.name for one in self._chain.joints]
@@ -179,7 +182,13 @@ class Arm(ReadingMachine):
             Coordinate(f"q{k}", unit, (low + high) / 2.0, (high - low) / 2.0)
             for k, (unit, (low, high)) in enumerate(zip(units, ends, strict=True), start=1)
         ]
-        self.channels = [Channel(f"joint[{k}]", unit) for k, unit in enumerate(units, start=1)]
+        own = zip(units, joints, config.joints or (None,) * n, strict=True)
+        self.channels = [  # a row's range counts where somebody states it
+            Channel(
+                f"joint[{k}]", unit, ends=joint.ends if row is None or "range_deg" in row.model_fields_set else NO_ENDS
+            )
+            for k, (unit, joint, row) in enumerate(own, start=1)
+        ]
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what commands, or encoders, of the joints read."""

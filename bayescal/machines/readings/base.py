@@ -100,6 +100,9 @@ class Channel:
     rotation : str
         Name of the rotation vector of which this is a component, where the readings are one: three channels in a row
         that have the same are compared as the rotation from one to the other.
+    ends : tuple of float
+        Smallest and largest reading that there can be, such as the limits of a joint; data beyond are refused, but for
+        a margin of the machine's own channels, whose zeros are not known.
 
     Examples
     --------
@@ -113,6 +116,7 @@ class Channel:
     external: bool = False
     period: float | None = None
     rotation: str = ""
+    ends: tuple[float, float] = (-np.inf, np.inf)
 
     def __post_init__(self) -> None:
         """Take a number that is one or zero as the flag that it means; InputError for what means none."""
@@ -129,6 +133,12 @@ class Channel:
     def stem(self) -> str:
         """Its name as columns have it: ``motor[2]`` is ``motor_2``."""
         return self.name.replace("[", "_").rstrip("]")
+
+
+def narrow_range(limits: Array, channels: Sequence[Channel]) -> Array:
+    """Return limits (N, 2) of channels, no wider than the ends of their readings."""
+    ends = np.array([one.ends for one in channels]).reshape(-1, 2)
+    return np.stack([np.maximum(limits[:, 0], ends[:, 0]), np.minimum(limits[:, 1], ends[:, 1])], axis=1)
 
 
 POSE = ("x", "y", "z", "rx", "ry", "rz")
@@ -525,7 +535,8 @@ class ReadingModel(ABC):
 
     def _find_fault(self, commands: Array, returned: bool) -> str:
         channels = [self.channels[k] for k in self.select(self.commanded)]
-        for channel, value, (low, high) in zip(channels, commands, self.command_range, strict=True):
+        ends = narrow_range(self.command_range, channels)
+        for channel, value, (low, high) in zip(channels, commands, ends, strict=True):
             if not np.isfinite(value):
                 return f"{channel.name} is unreachable there"
             if not low - SLACK <= value <= high + SLACK:

@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from bayescal.config.sections import Number, Positive, Section
+from bayescal.config.sections import Length, Number, Positive, Section
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
@@ -35,9 +35,9 @@ type EachTower[T] = T | Annotated[list[T], Field(min_length=TOWERS, max_length=T
 class DeltaMachineConfig(Section):
     """A linear delta, as its firmware has it; lengths are one for all towers or one each."""
 
-    radius_mm: EachTower[Positive]
+    radius_mm: EachTower[Length]
     """From the centre to the towers, less what carriage and tool take of it; one each are parameters of their own."""
-    arm_mm: EachTower[Positive]
+    arm_mm: EachTower[Length]
     """Lengths of the arms from joint to joint."""
     endstop_mm: EachTower[Number]
     """Height of the tool over the bed's centre where a carriage is at its endstop."""

@@ -129,7 +129,11 @@ class Legs(ReadingModel):
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:
         """Encoders, inclinometers about e1 and e2, then the pose as an instrument sees it."""
-        return list_leg_channels(self.n_legs, self.inclined)
+        every, mechanism = list_leg_channels(self.n_legs, self.inclined), self.machine.mechanism
+        start, reach = mechanism.initial_actuator_positions, mechanism.actuator_range
+        ends = [(float(one) - reach, float(one) + reach) for one in start]
+        own = zip(every, ends, strict=False)
+        return (*(replace(one, ends=its) for one, its in own), *every[self.n_legs :])
 
     @cached_property
     def _tilts(self) -> tuple[str, ...]:

@@ -28,6 +28,7 @@ is measured over few elevations or declinations, their sums are known, and they 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Final, Literal, Self
 
 import numpy as np
@@ -48,6 +49,9 @@ DIRECTIONS: Final = {ALTAZIMUTH: ("azimuth", "elevation"), "equatorial": ("hour_
 """Angles of a direction on the sky by the mount's axes."""
 MIRRORED: Final = ("IA", "AN", "CA", "NPAE")
 """Terms that are of the other sign where azimuth is counted from south instead of north."""
+
+SKY: Final = {"elevation": (0.0, np.pi / 2), "declination": (-np.pi / 2, np.pi / 2)}
+"""From the horizon to the zenith, from pole to pole."""
 
 PIER, ACROSS, ALONG = 1000.0, 0.3, 0.5
 """How long a drawing has the pier, mm, as the tube; half the second axis and the first one in its units."""
@@ -106,11 +110,11 @@ class Mount(ReadingMachine):
             raise ValueError(f"{second}_deg: found {low:g} to {high:g}, expected ends between {floor:g} and 90")
         circle = 2.0 * np.pi
         self.parameters = [ParameterBlock(name, (0.0,), "rad", per_leg=False) for name in TERMS[self.axes]]
-        self.tool_channels = [Channel(first, "rad", period=circle), Channel(second, "rad")]
+        self.tool_channels = [Channel(first, "rad", period=circle), Channel(second, "rad", ends=SKY[second])]
         self.channels = [
             Channel("encoder[1]", "rad", period=circle),
             Channel("encoder[2]", "rad"),
-            *(Channel(one.name, "rad", external=True, period=one.period) for one in self.tool_channels),
+            *(replace(one, external=True) for one in self.tool_channels),
         ]
         self.coordinates = [
             Coordinate(name, "rad", float(np.radians(low + high)) / 2.0, float(np.radians(high - low)) / 2.0)

@@ -21,7 +21,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from bayescal.config.sections import Number, Positive, Section
+from bayescal.config.sections import Length, Number, Positive, Section
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.delta import TOWERS, EachTower, spread_over_towers
@@ -32,13 +32,13 @@ from bayescal.numerics.analytic import atan2, sqrt
 class RotaryDeltaConfig(Section):
     """A rotary delta; lengths of arms are one for all or one each."""
 
-    radius_mm: Positive
+    radius_mm: Length
     """From the centre to the shoulders' axes, less what the tool takes of it."""
     height_mm: Number
     """Height of the shoulders over the bed."""
-    upper_arm_mm: EachTower[Positive]
+    upper_arm_mm: EachTower[Length]
     """Lengths of the upper arms from shoulder to elbow."""
-    lower_arm_mm: EachTower[Positive]
+    lower_arm_mm: EachTower[Length]
     """Lengths of the lower arms from elbow to tool."""
     angle_deg: Annotated[list[Number], Field(min_length=TOWERS, max_length=TOWERS)] = Field(
         default=[30.0, 150.0, 270.0]

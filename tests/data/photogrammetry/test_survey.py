@@ -64,7 +64,7 @@ def test_tiny_survey_reads(folder):
 @pytest.mark.parametrize(
     ("name", "start", "old", "new", "expected"),
     [
-        (0, "pose,body", "x_mm", "x_m", "found column 'x_m', did you mean 'x_mm'?"),
+        (0, "pose,body", "x_mm", "x_in", "found column 'x_in', did you mean 'x_mm'?"),
         (0, "pose,body", ",z_mm", "", "found no column 'z_mm'"),
         (0, "C02,base,B03", "C02,base,B03,", "C02,base,B03,oops", "x_mm: found 'oops"),
         (0, "C02,base,B03", "C02,base,B03,", "C02,base,B03,,", "found 7 cells, expected 6"),
@@ -73,7 +73,7 @@ def test_tiny_survey_reads(folder):
         (0, "C02,base,B03", "B03", "B02", "pose/body/target 'C02/base/B02' is already on line"),
         (0, "C02,base,B03", "C02", "C99", "pose 'C99': not in"),
         (0, "C02,base,B03", "C02", "", "pose: found an empty cell, expected a name"),
-        (1, "pose,use", "rho_6_mm", "rho_6_um", "found column 'rho_6_um', did you mean 'rho_6_mm'?"),
+        (1, "pose,use", "rho_6_mm", "rho_6_in", "found column 'rho_6_in', did you mean 'rho_6_mm'?"),
         (1, "pose,use", ",rho_6_mm", "", "found no column 'rho_6_mm'"),
         (1, "pose,use", "rho_6_mm", "rho_6_mm,rho_7_mm", "found column 'rho_7_mm'"),
         (1, "C03", "calibration", "calibrate", "use: found 'calibrate', expected one of calibration, verification"),

@@ -292,7 +292,7 @@ def write_legs(folder, rng, instruments="", names=None):
     )
     (folder / "mechanism.toml").write_text(MECHANISM.read_text())
     model = read_reading_model(folder / "machine.toml")
-    n, reach = 12, np.array([8.0] * 3 + [0.01] * 3)
+    n, reach = 12, np.array([4.0] * 3 + [0.004] * 3)  # within the actuators' range
     theta = model.layout.nominal.copy()
     theta[model.layout.index["l"]] += 0.3 * rng.standard_normal(6)
     pose = model.home_pose + reach * rng.uniform(-1.0, 1.0, (n, 6))

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from bayescal.config.classes import choose, name_failures
+from bayescal.data.actuators import check_ends
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, read_rotation_vectors
 from bayescal.data.reader import TableReader, read_with
 from bayescal.errors import InputError
@@ -210,6 +211,7 @@ def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Chan
         ending = next((end for end in ("r_x", "rx") if stems[0].endswith(end)), None)
         prefix = f"{channel.rotation}_" if ending is None else stems[0].removesuffix(ending)
         others = [f"{prefix}{name}" for name in OTHER_COLUMNS if f"{prefix}{name}" not in known]
+        table = table.convert(others)
         if not set(others) & set(table.columns):
             continue
         for one in table.columns:
@@ -329,6 +331,8 @@ def _fill(
                 )
             for at in np.flatnonzero((values < 0.0) & (column.role == "sd"))[:1]:
                 raise InputError(f"{table.where(int(at))}: {name}: found {values[at]:g}, expected no negative noise")
+            if column.role == "values":
+                check_ends(table, name, channels[k], values, column.factor)
             values = np.sqrt(values) if column.covariance else values
             there = np.isfinite(values)
             into[np.array(rows)[there], k] = column.factor * values[there]
