@@ -27,7 +27,7 @@ import numpy as np
 from bayescal.inference.target import LogDensity
 from bayescal.numerics.geometry import Array
 
-LOOSE: Final = 0.25  # share of the prior variance that is left, above which a direction is loose
+LOOSE: Final = 0.01  # share of the prior variance that is left, above which a direction is loose
 MOST_LOOSE: Final = 40  # directions: those along which others move most
 APART: Final = 1.0  # posterior sds either side, of which information is differenced
 BENT: Final = 0.1  # posterior sds of what follows, at a place one sd away, below which all is straight
