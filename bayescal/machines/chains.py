@@ -27,7 +27,7 @@ SHORTEST_AXIS = 1e-9
 LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still
 PARALLEL = 1e-9  # rad between two axes, below which rounding of their common normal's place is the larger error
-TOGETHER = 1e-9  # mm between two parallel axes, below which they are one
+COAXIAL = 1e-9  # mm between two parallel axes, below which they are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ def _find_normal(place: Place) -> tuple[DenavitRow, DenavitRow]:
     x, y, z = place.axes[:, 2]
     parallel = np.hypot(x, y) < PARALLEL
     normal = place.position[:2] if parallel else np.array([-y, x])
-    if not parallel or np.hypot(*normal) > TOGETHER:
+    if not parallel or np.hypot(*normal) > COAXIAL:
         theta = float(np.arctan2(*(np.copysign(1.0, normal[0]) * normal)[::-1]))
     else:
         theta = 0.0

@@ -160,17 +160,7 @@ def test_what_frames_do_not_hold_is_said(tmp_path, rng, symbols):
 
 # --- Denavit and Hartenberg's rows -----------------------------------------------------------------------------------
 
-SCARA = """kind = "arm"
-name = "scara"
-title = "A SCARA"
-[machine]
-joints = [
-    { a_mm = 250.0, d_mm = 300.0, range_deg = [-130.0, 130.0] },
-    { a_mm = 200.0, alpha_deg = 180.0, range_deg = [-140.0, 140.0] },
-    { range_mm = [0.0, 150.0] },
-    { d_mm = 40.0 },
-]
-"""
+SCARA = EXPERIMENTS.parent / "examples" / "machines" / "scara.toml"
 
 
 def place_rows(machine, q):
@@ -204,17 +194,15 @@ def export_rows(found, folder):
     return tomllib.loads(text)["machine"], describe_carried(written), text
 
 
-def make_rows(name, folder, rng, **how):
+def make_rows(name, rng, **how):
     """Return a calibrated arm of classical rows, of a URDF file, or one that slides."""
-    if name == "scara":
-        (folder / "scara.toml").write_text(SCARA)
-    paths = {"ur10": UR10, "panda": EXPERIMENTS / "panda_socket" / "machine.toml", "scara": folder / "scara.toml"}
+    paths = {"ur10": UR10, "panda": EXPERIMENTS / "panda_socket" / "machine.toml", "scara": SCARA}
     return make_calibrated(paths[name], rng, **how)
 
 
 @pytest.mark.parametrize("name", ["ur10", "panda", "scara"])
 def test_rows_place_the_tip(tmp_path, rng, name):
-    found = make_rows(name, tmp_path, rng)
+    found = make_rows(name, rng)
     machine, said, text = export_rows(found, tmp_path / "out")
     assert machine["convention"] == ("modified" if name == "panda" else "classical")
     pose = draw_poses(found.model, rng)
@@ -234,18 +222,19 @@ def test_rows_place_the_tip(tmp_path, rng, name):
 
 @pytest.mark.parametrize("name", ["ur10", "scara"])
 def test_rows_that_nothing_changed_are_those_stated(tmp_path, rng, name):
-    found = make_rows(name, tmp_path, rng, size=0.0)
+    found = make_rows(name, rng, size=0.0)
     machine, said, _ = export_rows(found, tmp_path / "out")
     stated = found.model.machine.config
     for row, one in zip(machine["joints"], stated.joints, strict=True):
         keys = ("d_mm", "a_mm", "alpha_deg", "theta_deg")
         np.testing.assert_allclose([row[key] for key in keys], [getattr(one, key) for key in keys], atol=1e-9)
-    assert not np.any([machine[f"{end}_{unit}"] for end in ("base", "tip") for unit in ("mm", "deg")])
+    assert not np.any([machine[f"base_{unit}"] for unit in ("mm", "deg")])
+    np.testing.assert_allclose([machine["tip_mm"], machine["tip_deg"]], [stated.tip_mm, stated.tip_deg], atol=1e-9)
     assert len(said) == 1
 
 
 def test_rows_do_not_hold_gains(tmp_path, rng):
-    found = make_rows("ur10", tmp_path, rng, symbols=("gain",))
+    found = make_rows("ur10", rng, symbols=("gain",))
     _, said, _ = export_rows(found, tmp_path / "out")
     assert float(re.match(r"; (\S+) mm are left", WRITTEN.match(said[0])[3])[1]) > 0.01
 
