@@ -1,4 +1,4 @@
-"""Files of printers' firmware: what Klipper, Marlin and RepRapFirmware hold of a delta, cable robot or five-bar.
+"""Files of printers' firmware: what Klipper, Marlin and RepRapFirmware hold of deltas, cable robots and five-bars.
 
 A firmware's parameters are fewer than a machine's, or others. Each file says, beside its numbers, how far the tool of
 the calibrated machine is from nominal, rms over the workspace with the same commands, and how far from what the file
@@ -9,13 +9,14 @@ With towers at directions α, arms l, radius r and the tool at height e where a 
 - Klipper has all of them; r is one for all towers.
 - Marlin (M665, M666): e = H - M666 with M666 never positive, l = L + A, B or C, α = 210, 330 or 90 degrees + X, Y or Z.
 - RepRapFirmware (M665, M666): e = H + M666, l = L of each tower, α as Marlin. Of a Hangprinter (M669, M666) anchors,
-  radii of spools at the origin and build-up; lines that stretch it does not have here. Of a five-bar (M669 K9) all:
-  motors X and Y, cranks P, couplers D, B where cranks point at their endstops, which are where encoders read zero here.
+  radii of spools at the origin and build-up; lines that stretch it does not have here. Of a rotary delta
+  (M669 K10, M666) all: radius R, upper arms U, lower ones L, heights H, directions as M665, zeros. Of a five-bar
+  (M669 K9) all: motors X and Y, cranks P, couplers D, and B, where cranks point at their endstops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ from bayescal.machines.readings.delta import TOWERS, DeltaMachine
 from bayescal.machines.readings.five_bar import FiveBar
 from bayescal.machines.readings.function import ReadingMachine
 from bayescal.machines.readings.line_machine import LineMachine
+from bayescal.machines.readings.rotary_delta import RotaryDelta
 from bayescal.numerics.geometry import Array
 
 KLIPPER, MARLIN, REPRAP = "klipper", "marlin", "reprapfirmware"
@@ -122,31 +124,33 @@ def list_marlin_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         alike = printer.change(r=towers.radius, e=towers.endstops, l=arm)
         said.append(printer.describe(alike, "To a firmware that does not know A, B and C of M665 the file"))
     lines = [f"; {one}" for one in said]
-    lines.append(f"M665 {_list_words('LRH', (arm, towers.radius, height))} {_list_turns(towers)}")
+    lines.append(f"M665 {_list_words('LRH', (arm, towers.radius, height))} {_list_turns(towers.angles)}")
     lines[-1] += f" {_list_words('ABC', towers.arms - arm)}"
     lines.append(f"M666 {_list_words('XYZ', height - towers.endstops)}")
     return {"marlin.gcode": ("\n".join([*lines, "M500 ; store"]) + "\n").encode()}
 
 
-def _list_turns(towers: _Towers) -> str:
-    """Return by what directions differ from those that firmwares take."""
-    return _list_words("XYZ", (towers.angles - DIRECTIONS + 180.0) % 360.0 - 180.0)
+def _list_turns(angles: Array) -> str:
+    """Return by what directions differ from those that firmwares take, degrees."""
+    return _list_words("XYZ", (angles - DIRECTIONS + 180.0) % 360.0 - 180.0)
 
 
 def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
-    """Return ``config.g``: M665 and M666 of a delta, M669 (and M666) of a machine on four lines or a five-bar."""
-    kinds: dict[str, type[ReadingMachine]] = {"delta": DeltaMachine, "line_machine": LineMachine, "five_bar": FiveBar}
-    printer = take_machine(calibrated, REPRAP, kinds)
+    """Return ``config.g``: M665 and M666 of a delta, M669 of a rotary one, a Hangprinter or a five-bar."""
+    kinds: dict[str, type[ReadingMachine]] = {"delta": DeltaMachine, "rotary_delta": RotaryDelta}
+    printer = take_machine(calibrated, REPRAP, kinds | {"line_machine": LineMachine, "five_bar": FiveBar})
     if isinstance(printer.model.machine, LineMachine):
         held, lines = _list_hangprinter(printer, printer.model.machine)
     elif isinstance(printer.model.machine, FiveBar):
-        held, lines = printer.theta, [_describe_five_bar(printer, printer.model.machine)]
+        held, lines = printer.theta, _list_five_bar(printer, printer.model.machine)
+    elif isinstance(printer.model.machine, RotaryDelta):
+        held, lines = printer.theta, _list_rotary(printer)
     else:
         towers = _read_towers(printer)
         held, height = towers.held, float(towers.endstops.mean())
         arms = ":".join(write_numbers(towers.arms))
         lines = [
-            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers)}",
+            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers.angles)}",
             f"M666 {_list_words('XYZ', towers.endstops - height)} A0.0 B0.0",
         ]
     said = [f"; {one}" for one in (*calibrated.source.describe(), printer.describe(held))]
@@ -171,20 +175,35 @@ def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array
     ]
 
 
-# --- five-bars -------------------------------------------------------------------------------------------------------
+# --- arms that turn --------------------------------------------------------------------------------------------------
 
 
-def _describe_five_bar(printer: BareMachine, machine: FiveBar) -> str:
+def _list_arms(printer: BareMachine, words: Mapping[str, str]) -> str:
+    """Return values of several arms, or of one for all, by the words and the symbols that have them."""
+    return " ".join(f"{word}{':'.join(write_numbers(printer.take(symbol)))}" for word, symbol in words.items())
+
+
+def _list_rotary(printer: BareMachine) -> list[str]:
+    """Return the commands of a rotary delta; M666 is what the encoders' zeros add to the angle of the endstops."""
+    height = ":".join(write_numbers(np.repeat(printer.take("h"), TOWERS)))
+    turns = _list_turns(np.degrees(printer.take("angle")))
+    return [
+        "; M666 of arms whose endstops, with M666 of zero, were homed to the larger angle of A in the readings.",
+        f"M669 K10 {_list_arms(printer, {'R': 'r', 'U': 'L', 'L': 'l'})} H{height} {turns}",
+        f"M666 {_list_words('XYZ', np.degrees(printer.take('o')))}",
+    ]
+
+
+def _list_five_bar(printer: BareMachine, machine: FiveBar) -> list[str]:
     """Return the command of a five-bar; InputError for elbows that the firmware has no mode for."""
     mode = MODES.get((machine.config.elbows[0], machine.config.elbows[1]))
     below = machine.coordinates[1].home - machine.coordinates[1].reach <= printer.take("y").max()
     if mode is None or below:
         found = "a workspace beside or below its motors" if below else "elbows to the right and to the left"
         raise InputError(f"format {REPRAP}: found {found}, expected the tool above, elbows outwards or to one side")
-    words = {"X": "x", "Y": "y", "P": "L", "D": "l"}
-    listed = {word: printer.take(symbol) for word, symbol in words.items()} | {"B": np.degrees(printer.take("o"))}
-    listed["D"] = np.append(listed["D"], [0.0, 0.0])  # the tool is where the couplers meet, not beyond
-    return f"M669 K9 L{mode} " + " ".join(f"{word}{':'.join(write_numbers(one))}" for word, one in listed.items())
+    ends = ":".join(write_numbers(np.degrees(printer.take("o"))))
+    arms = _list_arms(printer, {"X": "x", "Y": "y", "P": "L", "D": "l"})  # behind D: the tool where couplers meet
+    return ["; B is where cranks point when encoders read zero.", f"M669 K9 L{mode} {arms}:0.0:0.0 B{ends}"]
 
 
 FORMATS = {KLIPPER: list_klipper_files, MARLIN: list_marlin_files, REPRAP: list_reprapfirmware_files}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import studies
 from calibrated_readings import build_planned, calibrate
-from deltas import build_delta, build_five_bar, trilaterate
+from deltas import build_delta, build_five_bar, build_rotary_delta, trilaterate
 from refusals import line_of
 from scipy.optimize import least_squares
 
@@ -146,6 +146,21 @@ def test_a_hangprinter_turns_its_motors_to_the_same_places(rng, tmp_path):
         motors = found.model.read(found.theta, point)[:4]
         reached = least_squares(lambda p, to=motors: turn(p) - to, point + 5.0, xtol=1e-14, ftol=1e-14, gtol=1e-14)
         np.testing.assert_allclose(reached.x, point, rtol=0.0, atol=NANOMETRE)
+
+
+def test_a_rotary_delta_turns_its_arms_to_the_same_places(rng, tmp_path):
+    found = make_calibrated(FunctionModel("rotary", build_rotary_delta()), rng)
+    export_machine(found, tmp_path, "reprapfirmware")
+    text = (tmp_path / "config.g").read_text()
+    words, zeros = list_words(text, "M669"), list_words(text, "M666")
+    assert words["K"] == [10.0]
+    angle = np.radians([words[axis][0] for axis in "XYZ"] + DIRECTIONS)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    for point in rng.uniform([-70.0, -70.0, 5.0], [70.0, 70.0, 70.0], (20, 3)):
+        turned = found.model.read(found.theta, point)[:3] + np.radians([zeros[axis][0] for axis in "XYZ"])
+        away = words["R"][0] + np.array(words["U"]) * np.cos(turned)
+        elbows = np.column_stack([away[:, None] * out, words["H"] + np.array(words["U"]) * np.sin(turned)])
+        np.testing.assert_allclose(trilaterate(elbows, np.array(words["L"])), point, rtol=0.0, atol=NANOMETRE)
 
 
 @pytest.mark.parametrize("elbows", [("left", "right"), ("right", "right"), ("left", "left")])
