@@ -31,5 +31,5 @@ class ForceCell(bc.ReadingMachine):
 if __name__ == "__main__":
     data = bc.simulate(ForceCell(), NOISE, TOLERANCES, n_poses=25)
     study = bc.calibrate(ForceCell(), data, TOLERANCES)
-    print(study.best.parameters.merge(data.truth)[["parameter", "unit", "true", "mean", "sd"]])
+    print(study.best.parameters.merge(data.truth[["parameter", "true"]])[["parameter", "true", "mean", "sd"]])
     print(study.best.predict({"u_1_mV/V": [0.5], "u_2_mV/V": [0.0], "u_3_mV/V": [0.0]}))

@@ -32,5 +32,5 @@ if __name__ == "__main__":
     machine = bc.load_machine("machine.toml")
     data = bc.simulate(machine, NOISE, TOLERANCES, n_poses=40)
     study = bc.calibrate(machine, data, TOLERANCES)
-    print(study.best.parameters.merge(data.truth)[["parameter", "unit", "true", "mean", "sd"]])
+    print(study.best.parameters.merge(data.truth[["parameter", "true"]])[["parameter", "true", "mean", "sd"]])
     study.best.export("corrections", "grid")  # a table of corrections for the slicer or the firmware

@@ -34,4 +34,4 @@ class Wheels(bc.ReadingMachine):
 if __name__ == "__main__":
     data = bc.simulate(Wheels(), NOISE, TOLERANCES, n_poses=20)
     study = bc.calibrate(Wheels(), data, TOLERANCES)
-    print(study.best.parameters.merge(data.truth)[["parameter", "unit", "true", "mean", "sd"]])
+    print(study.best.parameters.merge(data.truth[["parameter", "true"]])[["parameter", "true", "mean", "sd"]])

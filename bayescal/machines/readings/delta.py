@@ -17,10 +17,10 @@ directions of x and y are a convention: one angle stays as stated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayescal.config.sections import Number, Positive, Section
 from bayescal.machines.parameters import ParameterBlock
@@ -74,6 +74,14 @@ class DeltaMachineConfig(RoundWorkspace):
     )
     """Directions of the towers from the centre, counted from x to y."""
 
+    @model_validator(mode="after")
+    def _check_arms(self) -> Self:
+        arms, radii = spread_over_towers(self.arm_mm), spread_over_towers(self.radius_mm)
+        for k, (long, wide) in enumerate(zip(arms, radii, strict=True), start=1):
+            if long <= wide:
+                raise ValueError(f"arm_mm: found {long:g} of tower {k}, expected more than its radius, {wide:g}")
+        return self
+
 
 class DeltaMachine(ToolOverBed):
     """Carriages below their endstops, and the height that a probe on the tool reads of the bed.
@@ -86,12 +94,9 @@ class DeltaMachine(ToolOverBed):
     member = "tower"
 
     def __init__(self, config: DeltaMachineConfig) -> None:
-        """Lay out parameters, coordinates and channels; ValueError for an arm that is no longer than its radius."""
+        """Lay out parameters, coordinates and channels."""
         super().__init__(config, "s", "mm")
         radius, arm, endstop = (spread_over_towers(one) for one in (config.radius_mm, config.arm_mm, config.endstop_mm))
-        for k, (long, wide) in enumerate(zip(arm, radius, strict=True), start=1):
-            if long <= wide:
-                raise ValueError(f"arm_mm: found {long:g} of tower {k}, expected more than its radius, {wide:g}")
         self.has_radii = isinstance(config.radius_mm, list)
         self.parameters = [
             ParameterBlock("r", radius if self.has_radii else radius[:1], per_leg=self.has_radii, lower=0.0),

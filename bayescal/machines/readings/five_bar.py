@@ -20,10 +20,10 @@ small workspace.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayescal.config.sections import Number, Positive, Section
 from bayescal.machines.parameters import ParameterBlock
@@ -52,6 +52,15 @@ class FiveBarConfig(Section):
     workspace_mm: Pair[Pair[Number]]
     """Smallest and largest x, then y, of the tool where accuracy counts."""
 
+    @model_validator(mode="after")
+    def _check_ends(self) -> Self:
+        for low, high in self.workspace_mm:
+            if low >= high:
+                raise ValueError(f"workspace_mm: found {low:g} to {high:g}, expected the smaller first")
+        if self.motors_mm[0] == self.motors_mm[1]:
+            raise ValueError(f"motors_mm: found both at {self.motors_mm[0]}, expected two places")
+        return self
+
 
 class FiveBar(ReadingMachine):
     """Encoders of two cranks; instruments see the tool.
@@ -66,7 +75,7 @@ class FiveBar(ReadingMachine):
     channels = (Channel("q[1]", "rad"), Channel("q[2]", "rad"))
 
     def __init__(self, config: FiveBarConfig) -> None:
-        """Lay out parameters and coordinates; ValueError for a workspace without extent."""
+        """Lay out parameters and coordinates."""
         super().__init__(config)
         self.sides = [1.0 if one == LEFT else -1.0 for one in config.elbows]
         self.parameters = [
@@ -75,9 +84,6 @@ class FiveBar(ReadingMachine):
             ParameterBlock("l", tuple(config.coupler_mm), lower=0.0),
             ParameterBlock("o", tuple(np.radians(config.zero_deg).tolist()), "rad"),
         ]
-        for low, high in config.workspace_mm:
-            if low >= high:
-                raise ValueError(f"workspace_mm: found {low:g} to {high:g}, expected the smaller first")
         ends = zip("xy", config.workspace_mm, strict=True)
         self.coordinates = [Coordinate(one, "mm", (low + high) / 2.0, (high - low) / 2.0) for one, (low, high) in ends]
 
