@@ -85,6 +85,8 @@ def list_grid_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     with np.errstate(invalid="ignore"):
         left = np.abs(compared.subtract(wanted, there.tool)) <= ARRIVED * (1.0 + np.abs(wanted))
     good = there.found & np.isfinite(correction).all(axis=1) & left.all(axis=1)
+    if not good.any():
+        raise InputError(f"format grid: machine {calibrated.name!r}: found no pose of the workspace within reach")
     tool, coordinates = calibrated.model.tool_channels, calibrated.model.pose_channels
     shown = () if is_pose(calibrated) else coordinates
     units, fine = [show_unit(calibrated, one)[1] for one in tool], [FINE.get(one.unit, (one.unit, 1.0)) for one in tool]

@@ -83,3 +83,9 @@ def test_a_drawing_that_is_no_longer_known_is_said(tmp_path):
     assert "Interpolated linearly the file carries" in said[0]
     settled = replace(found, drawn=None)
     assert "expected the results of a study" in line_of(lambda: export_machine(settled, tmp_path / "again", "grid"))
+
+
+def test_a_workspace_out_of_reach_is_said(tmp_path):
+    found = machines.build("delta", tmp_path)
+    far = replace(found, workspace=found.workspace + 1000.0)
+    assert "found no pose of the workspace within reach" in line_of(lambda: export_machine(far, tmp_path / "o", "grid"))
