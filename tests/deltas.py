@@ -1,10 +1,11 @@
-"""Linear deltas as firmwares see them: a machine whose towers differ, and where three carriages lead."""
+"""Deltas and a five-bar as firmwares see them: machines whose arms differ, and where three carriages lead."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
+from bayescal.machines.readings.five_bar import FiveBar, FiveBarConfig
 from bayescal.machines.readings.rotary_delta import RotaryDelta, RotaryDeltaConfig
 
 
@@ -20,6 +21,13 @@ def build_rotary_delta() -> RotaryDelta:
     own = {"radius_mm": 80.0, "height_mm": 380.0, "upper_arm_mm": [170.0, 171.0, 169.0], "lower_arm_mm": 320.0}
     space = {"workspace_radius_mm": 120.0, "workspace_height_mm": 80.0}
     return RotaryDelta(RotaryDeltaConfig(**own, angle_deg=[31.0, 149.0, 270.0], **space))
+
+
+def build_five_bar(**more: object) -> FiveBar:
+    """Return a five-bar whose arms differ, its elbows outwards."""
+    own = {"motors_mm": [[-50.0, 2.0], [50.0, 0.0]], "crank_mm": [180.0, 182.0], "coupler_mm": [240.0, 239.0]}
+    space = {"zero_deg": [160.0, 20.0], "workspace_mm": [[-90.0, 90.0], [180.0, 320.0]]}
+    return FiveBar(FiveBarConfig(**own | space | more))
 
 
 def trilaterate(centre: np.ndarray, arm: np.ndarray) -> np.ndarray:

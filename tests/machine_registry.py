@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import own_arm
 import studies
-from deltas import build_delta, build_rotary_delta
+from deltas import build_delta, build_five_bar, build_rotary_delta
 from function_machines import point_on_lines
 from serial_arms import build_arm
 from sliding_platforms import build, make_content, sliding_star, star_of
@@ -81,6 +81,7 @@ LEVEL = {
     "delta": lambda: read("examples/own_machine/machine.toml"),
     "delta printer at two places": lambda: read("experiments/flsun_v400/machine.toml"),
     "rotary delta": lambda: FunctionModel("rotary", build_rotary_delta()),
+    "five-bar": lambda: FunctionModel("five_bar", build_five_bar()),
     "towers apart": lambda: FunctionModel("towers", build_delta()),
     "hangprinter": lambda: read("experiments/hangprinter/machine.toml"),
     "lines in a plane": lambda: FunctionModel("sled", LineMachine(LineMachineConfig(**SLED))),

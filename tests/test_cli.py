@@ -392,3 +392,33 @@ def test_every_shipped_experiment_is_run_here():
         "telescope/simulate.toml",
         *(f"{name}.toml" for name in names),
     }
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys", "said"),
+    [
+        (
+            "delta",
+            "radius_mm = 150.0\narm_mm = 100.0\nendstop_mm = 300.0\nworkspace_radius_mm = 50.0",
+            "arm_mm: found 100",
+        ),
+        ("mount", "azimuth_deg = [10.0, 5.0]", "azimuth_deg: found 10 to 5"),
+        (
+            "five_bar",
+            "crank_mm = [9.0, 9.0]\ncoupler_mm = [9.0, 9.0]\nmotors_mm = [[0, 0], [0, 0]]",
+            "motors_mm: found both",
+        ),
+        (
+            "five_bar",
+            "crank_mm = [9.0, 9.0]\ncoupler_mm = [9.0, 9.0]\nmotors_mm = [[0, 0], [9, 0]]",
+            "q[1]: found nan at home",
+        ),
+    ],
+)
+def test_a_machine_that_cannot_be_is_one_line(call, tmp_path, kind, keys, said):
+    more = {"delta": "workspace_height_mm = 9.0", "five_bar": "workspace_mm = [[0, 1], [90, 91]]"}.get(kind, "")
+    path = tmp_path / "machine.toml"
+    path.write_text(f'kind = "{kind}"\nname = "one"\ntitle = "One"\n[machine]\n{keys}\n{more}\n')
+    code, _, complaint = call("show", path, "--out", tmp_path / "out.html")
+    assert (code, complaint.count("\n")) == (2, 1)
+    assert said in complaint

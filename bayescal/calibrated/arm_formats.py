@@ -1,6 +1,6 @@
-"""Files of arms for robot software: URDF, and the calibration file of the ROS driver of Universal Robots.
+"""Files of arms for robot software: URDF, the calibration file of a UR's ROS driver, Denavit and Hartenberg's rows.
 
-Both hold where each joint's frame stands in that before, so that links, zeros of joints and the tool go in. Gains,
+All hold where each joint's frame stands in that before, so that links, zeros of joints and the tool go in. Gains,
 harmonics and compliance of joints do not: frames are then those whose tool is nearest to the calibrated one at the same
 commands, and each file says, rms over the workspace, how much of the correction it carries.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -18,18 +19,22 @@ from scipy.spatial.transform import Rotation
 from bayescal.calibrated.carried import BareMachine, take_machine
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
-from bayescal.machines.chains import Joint, Place
+from bayescal.files.toml import format_toml
+from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, find_rows
 from bayescal.machines.readings.arm import PLACES, TURNS, Arm
 from bayescal.machines.readings.function import FunctionModel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
 
 METRE = 1e-3  # per mm
-URDF, UR_KINEMATICS = "urdf", "ur_kinematics"
+URDF, UR_KINEMATICS, DH = "urdf", "ur_kinematics", "dh"
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 HELD = (*PLACES, *TURNS, "tool", "tool_r")
 LEVER = 100.0  # mm of a tool, at which a turn counts as much as a displacement
 STEPS, LEAST = 3, 1e-6  # of Gauss and Newton; of the largest singular value, below which a direction stays
 EXACT = 1e-12  # mm and rad that rounding leaves
+KEYS = ("d_mm", "a_mm", "alpha_deg", "theta_deg")
+DIGITS = 13  # of degrees and mm, behind the point: d may be kilometres
+NEARLY_DEG = 2.0  # between axes, below which their rows are said to belong together
 
 
 def is_arm(calibrated: CalibratedMachine) -> bool:
@@ -86,6 +91,64 @@ def list_ur_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     return {"kinematics.yaml": ("\n".join(lines) + "\n").encode()}
 
 
+def list_dh_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
+    """Return ``dh.toml``: rows of the joints, classical or modified as the arm is stated, of a URDF file modified.
+
+    It is a machine's file that ``kind = "arm"`` reads. Base and tip have what rows do not: where the first axis is, and
+    how the tip is turned. Axes that are nearly parallel have their common normal far away, and d that belong together.
+    """
+    held = _hold(calibrated, DH, HELD)
+    arm, (errors, tool) = held.arm, _read_errors(held)
+    config, joints = arm.config, arm.chain.joints
+    modified = config.urdf is not None or config.convention == "modified"
+    end = None if modified else config.joints[-1]
+    last = DenavitRow() if end is None else DenavitRow(a=end.a_mm, alpha=float(np.radians(end.alpha_deg)))
+    moved = [joint.place.then(error) for joint, error in zip(joints, errors, strict=True)]
+    # of the first frame's error its row has what is along the axis, the base the rest
+    along = DenavitRow(d=errors[0].position[2], theta=Rotation.from_matrix(errors[0].axes).as_rotvec()[2]).along
+    drawn = _move(np.array(config.base_mm), np.radians(config.base_deg))
+    base = moved[0].then(along.back).then(joints[0].place.back).then(drawn)
+    moved[0] = base.back.then(moved[0])
+    chain = Chain(
+        [replace(one, place=place) for one, place in zip(joints, moved, strict=True)], arm.chain.tip.then(tool)
+    )
+    more, rows, tip = find_rows(chain, modified, last)
+    said = [*calibrated.source.describe(), held.description]
+    alone = held.change_first(along)
+    if np.abs(alone - held.theta).max() > EXACT:
+        said.append(held.bare.describe(alone, "To a controller without base_mm and base_deg the file"))
+    for one, other, place in zip(joints, joints[1:], moved[1:], strict=False):
+        angle = np.degrees(np.arctan2(np.hypot(*place.axes[:2, 2]), np.abs(place.axes[2, 2])))
+        if angle < NEARLY_DEG:
+            said.append(
+                f"Axes of {one.name} and {other.name} are parallel to {angle:.2g} deg: their d belong together."
+            )
+    machine: dict[str, Any] = {"convention": "modified" if modified else "classical"}
+    machine |= config.model_dump(exclude_defaults=True, include={"down", "workspace_deg"})
+    for name, place in (("base", base.then(more)), ("tip", tip)):
+        machine[f"{name}_mm"] = _round(place.position)
+        machine[f"{name}_deg"] = _round(np.degrees(Rotation.from_matrix(place.axes).as_rotvec()))
+    machine["joints"] = [
+        {"name": joint.name}
+        | dict(zip(KEYS, _round([row.d, row.a, *np.degrees([row.alpha, row.theta])]), strict=True))
+        | _describe_ends(joint)
+        for joint, row in zip(joints, rows, strict=True)
+    ]
+    content = {"kind": "arm", "name": calibrated.name, "title": f"{calibrated.name} as calibrated", "machine": machine}
+    return {"dh.toml": format_toml(said, content).encode()}
+
+
+def _round(values: Sequence[float] | Array) -> list[float]:
+    """Return numbers without what rounding has left, mm or degrees."""
+    return [round(float(one), DIGITS) + 0.0 for one in values]
+
+
+def _describe_ends(joint: Joint) -> dict[str, list[float]]:
+    """Return a joint's range as the key of a row; nothing where nobody says it."""
+    ends = np.array(joint.ends) if joint.slides else np.degrees(joint.ends)
+    return {"range_mm" if joint.slides else "range_deg": _round(ends)} if np.isfinite(ends).all() else {}
+
+
 @dataclass(frozen=True, eq=False)
 class _Held:
     """An arm and what a file holds of it: some parameters, all others nominal."""
@@ -98,6 +161,14 @@ class _Held:
     def description(self) -> str:
         """What the file carries."""
         return self.bare.describe(self.theta)
+
+    def change_first(self, error: Place) -> Array:
+        """Return the parameters with another error of the first joint's frame, seen from the frame itself."""
+        changed, index = self.theta.copy(), self.bare.model.layout.index
+        for names, values in ((PLACES, error.position), (TURNS, Rotation.from_matrix(error.axes).as_rotvec())):
+            for name, value in zip(names, values, strict=True):
+                changed[index[name][0]] = value
+        return changed
 
 
 def _hold(calibrated: CalibratedMachine, what: str, symbols: Sequence[str]) -> _Held:

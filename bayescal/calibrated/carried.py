@@ -18,7 +18,7 @@ from bayescal.numerics.geometry import Array
 SAMPLES = 256  # poses of the workspace
 NOTHING_MM = 1e-6
 CARRIES = "carries"
-SUFFIXES = (".cfg", ".gcode", ".g", ".urdf", ".yaml")
+SUFFIXES = (".cfg", ".csv", ".g", ".gcode", ".hal", ".toml", ".urdf", ".yaml")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,14 @@ class BareMachine:
 
     def describe(self, held: Array, file: str = "The file") -> str:
         """Return in words what a file that holds some parameters carries."""
-        whole, left = self.measure(self.model.layout.nominal), self.measure(held)
-        carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} mm"
-        said = f"{carried} by which the tool is off nominal, rms over the workspace"
-        return said if left < NOTHING_MM else f"{said}; {left:.2g} mm are left"
+        return describe_share(self.measure(self.model.layout.nominal), self.measure(held), file)
+
+
+def describe_share(whole: float, left: float, file: str = "The file", unit: str = "mm") -> str:
+    """Return in words how much of what the tool is off nominal a file carries, both rms over the workspace."""
+    carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} {unit}"
+    said = f"{carried} by which the tool is off nominal, rms over the workspace"
+    return said if left < NOTHING_MM else f"{said}; {left:.2g} {unit} are left"
 
 
 def take_machine(calibrated: CalibratedMachine, what: str, kinds: Mapping[str, type[ReadingMachine]]) -> BareMachine:

@@ -285,6 +285,7 @@ def read_exported(folder: Path) -> CalibratedMachine:
         functions=None if config.functions is None else _read_functions(folder / config.functions, names),
         units=_read_units(config.units, path, model),
         aligned=config.accuracy_frame == "aligned",
+        drawn=None if config.machine is None else model,
     )
 
 

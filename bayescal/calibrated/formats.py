@@ -11,29 +11,21 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.calibrated import arm_formats, printer_formats
+from bayescal.calibrated import arm_formats, linuxcnc_formats, printer_formats
 from bayescal.calibrated.exported import list_function_files, list_mechanism_files, list_posterior_files
+from bayescal.calibrated.grid import list_grid_files
+from bayescal.calibrated.linuxcnc_formats import check_perfect_legs
 from bayescal.calibrated.machine import CalibratedMachine, find_export_obstacle
 from bayescal.calibrated.tpoint import list_tpoint_files
 from bayescal.config.load import look_up
-from bayescal.errors import InputError, name_faults
 from bayescal.files.atomic import make_directory, write_atomically
 from bayescal.files.csv_tables import format_table
 from bayescal.files.manifest import renew_manifest
 from bayescal.files.toml import format_toml
-from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import Machine, check_home_pose
-from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.models.six_ups import SixUps
 from bayescal.numerics.geometry import Array
 
 UNITS = {"1": "", "mm": "_mm", "rad": "_rad", "N": "_n", "N mm2": "_n_mm2"}
-STRUTS = 6
-HELP = (
-    "LinuxCNC genhexkins, mm. Load after `loadrt genhexkins`.",
-    "Joint N = length N + rho_(N+1)_mm - initial position.",
-)
-GAINED = "With gains: joint N = length N + gain N * (actuator position - initial position)."
 METRE = 1e-3  # m per mm
 ORIGIN = np.zeros(3)
 AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
@@ -118,46 +110,6 @@ def _describe_legs(machine: Machine) -> dict[str, Any]:
         "actuator_range_mm": mechanism.actuator_range,
         **({} if mechanism.actuator_gains is None else {"actuator_gains": mechanism.actuator_gains.tolist()}),
     }
-
-
-def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[str, ...]) -> None:
-    """Raise InputError where a format that takes some drives cannot have the kinematics of a machine, saying why."""
-    with name_faults(f"format {what}"):
-        machine, variant = calibrated.legs, calibrated.source.variant
-    if machine.mechanism.drive not in drives:
-        raise InputError(f"format {what}: found base actuators in variant {variant!r}, expected struts")
-    if not machine.model.has_perfect_joints:
-        raise InputError(
-            f"format {what}: found model {machine.model.name!r} in variant {variant!r}, expected "
-            f"perfect joints, {SixPus.name} or {SixUps.name}"
-        )
-    if not isinstance(machine.deformation, NoDeformation):
-        raise InputError(f"format {what}: found a flexible platform in variant {variant!r}, expected a rigid one")
-
-
-def list_genhexkins_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
-    """Return ``genhexkins.hal``, parameters of LinuxCNC's kinematics of a general hexapod as lines of a HAL file.
-
-    Its conventions, as its manual has them: ``base.N`` and ``platform.N`` are the ends of strut N, counted from zero,
-    in base and in platform coordinates; a joint's position is the length of its strut, |p + R platform.N - base.N|; A,
-    B and C are roll, pitch and yaw in degrees, R = R_z(C) R_y(B) R_x(A). Machine units are taken to be millimetres.
-    InputError where the machine has other than six struts with perfect joints.
-    """
-    check_perfect_legs(calibrated, "genhexkins", ("strut",))
-    mechanism = calibrated.legs.mechanism
-    if mechanism.n_legs != STRUTS:
-        raise InputError(f"format genhexkins: found {mechanism.n_legs} struts, expected {STRUTS}")
-    gains = mechanism.actuator_gains
-    lines = [f"# {one}" for one in (*calibrated.source.describe(), *HELP, *([] if gains is None else [GAINED]))]
-    for k in range(STRUTS):
-        length, start = mechanism.leg_lengths[k], mechanism.initial_actuator_positions[k]
-        gain = "" if gains is None else f", gain {float(gains[k])!r}"
-        lines.append(f"# joint {k}: length {float(length)!r} at the initial position {float(start)!r}{gain}")
-    for pin, points in (("base", mechanism.base_points), ("platform", mechanism.platform_points)):
-        for k, point in enumerate(points):
-            lines += [f"setp genhexkins.{pin}.{k}.{axis} {float(x)!r}" for axis, x in zip("xyz", point, strict=True)]
-    lines += ["setp genhexkins.spindle-offset 0", "setp genhexkins.screw-lead 0"]
-    return {"genhexkins.hal": ("\n".join(lines) + "\n").encode()}
 
 
 def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
@@ -269,10 +221,12 @@ FORMATS: dict[str, Callable[[CalibratedMachine], dict[str, bytes]]] = {
     "json": list_json_files,
     "csv": list_csv_files,
     "urdf": list_urdf_files,
-    "genhexkins": list_genhexkins_files,
+    **linuxcnc_formats.FORMATS,
     arm_formats.UR_KINEMATICS: arm_formats.list_ur_files,
+    arm_formats.DH: arm_formats.list_dh_files,
     **printer_formats.FORMATS,
     "tpoint": list_tpoint_files,
+    "grid": list_grid_files,
 }
 
 
@@ -285,8 +239,8 @@ def export_machine(calibrated: CalibratedMachine, folder: Path, name: str | None
     folder : Path
         Made where it is not there; files of the same names are replaced.
     name : str, optional
-        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, ur_kinematics, klipper, marlin,
-        reprapfirmware, tpoint; by default that which `load_calibrated` takes again.
+        One of `FORMATS`: mechanism, parameters, toml, json, csv, urdf, genhexkins, linuxcnc, ur_kinematics, dh,
+        klipper, marlin, reprapfirmware, tpoint, grid; by default that which `load_calibrated` takes again.
 
     Raises
     ------

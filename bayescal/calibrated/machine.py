@@ -271,6 +271,8 @@ class CalibratedMachine:
         Units that channels have in the data's tables, by name, where these are not their own; tables are written so.
     aligned : bool
         Whether its accuracy is what remains of errors once base and tool are aligned.
+    drawn : ReadingModel or None
+        The machine whose nominal parameters are as drawn; None where the calibrated ones have replaced them.
 
     Examples
     --------
@@ -294,6 +296,7 @@ class CalibratedMachine:
     functions: KnownFunctions | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     aligned: bool = True
+    drawn: ReadingModel | None = None
 
     def __repr__(self) -> str:
         known = 0 if self.covariance is None else len(self.free)
@@ -394,8 +397,9 @@ def build_calibrated(
 
     One with errors of its legs' closures is settled where drawings hold its kinematics; these errors are then its own.
     """
+    drawn = model
     if (alone := model.legs) is not None and isinstance(errors, LegErrors):
-        legs = Legs(alone.machine, has_gains=alone.has_gains)
+        drawn = legs = Legs(alone.machine, has_gains=alone.has_gains)
         if not find_export_obstacle(legs.machine):
             settled = settle_legs(legs, theta)
             draws = None if draws is None else express_parameters(legs, settled, draws)
@@ -407,4 +411,4 @@ def build_calibrated(
         covariance = np.cov(draws[:, free], rowvar=False).reshape(len(free), len(free))
         kept = draws[:, free]
     place = (measured, dict(given), workspace, machine_file, files or {})
-    return CalibratedMachine(model, theta, free, covariance, kept, errors, source, *place)
+    return CalibratedMachine(model, theta, free, covariance, kept, errors, source, *place, drawn=drawn)

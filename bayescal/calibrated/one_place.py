@@ -38,6 +38,7 @@ def take_one_place(calibrated: CalibratedMachine) -> CalibratedMachine:
     return replace(
         calibrated,
         model=model,
+        drawn=model,
         errors=replace(errors, noise=errors.noise[np.ix_(first, first)], model_variance=errors.model_variance[first]),
         measured=None if measured is None else np.concatenate([measured[:, first], measured[:, also]]),
         given={

@@ -1,4 +1,4 @@
-"""Files of printers' firmware: what Klipper, Marlin and RepRapFirmware hold of a calibrated delta or cable robot.
+"""Files of printers' firmware: what Klipper, Marlin and RepRapFirmware hold of deltas, cable robots and five-bars.
 
 A firmware's parameters are fewer than a machine's, or others. Each file says, beside its numbers, how far the tool of
 the calibrated machine is from nominal, rms over the workspace with the same commands, and how far from what the file
@@ -9,12 +9,14 @@ With towers at directions α, arms l, radius r and the tool at height e where a 
 - Klipper has all of them; r is one for all towers.
 - Marlin (M665, M666): e = H - M666 with M666 never positive, l = L + A, B or C, α = 210, 330 or 90 degrees + X, Y or Z.
 - RepRapFirmware (M665, M666): e = H + M666, l = L of each tower, α as Marlin. Of a Hangprinter (M669, M666) anchors,
-  radii of spools at the origin and build-up; lines that stretch it does not have here.
+  radii of spools at the origin and build-up; lines that stretch it does not have here. Of a rotary delta
+  (M669 K10, M666) all: radius R, upper arms U, lower ones L, heights H, directions as M665, zeros. Of a five-bar
+  (M669 K9) all: motors X and Y, cranks P, couplers D, and B, where cranks point at their endstops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +27,17 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.limits import FAR_AWAY
 from bayescal.machines.readings.delta import TOWERS, DeltaMachine
+from bayescal.machines.readings.five_bar import FiveBar
+from bayescal.machines.readings.function import ReadingMachine
 from bayescal.machines.readings.line_machine import LineMachine
+from bayescal.machines.readings.rotary_delta import RotaryDelta
 from bayescal.numerics.geometry import Array
 
 KLIPPER, MARLIN, REPRAP = "klipper", "marlin", "reprapfirmware"
 DIRECTIONS = np.array([210.0, 330.0, 90.0])
 LINES = "ABCD"
+MODES = {("right", "right"): 1, ("left", "right"): 2, ("left", "left"): 4}
+"""RepRapFirmware's numbers of a five-bar's assembly by its elbows: an elbow to the left has the smaller x."""
 DIGITS = 9  # behind the point, mm and degrees
 
 
@@ -58,20 +65,29 @@ def _read_towers(printer: BareMachine) -> _Towers:
 
 def _fit_radius(printer: BareMachine) -> Array:
     """Return parameters of one radius whose tool is nearest to the calibrated one at the same commands."""
-    model, (pose, commands, _) = printer.model, printer.sample()
-    pose, commands = (one[np.isfinite(commands).all(axis=1)] for one in (pose, commands))
-    by_command = np.linalg.inv(model.linearise(printer.theta, pose, False).by_pose[:, :TOWERS])
     symbols = ("angle", "l", "e")
 
     def unpack(x: Array) -> Array:
         return printer.change(r=x[0], **dict(zip(symbols, x[1:].reshape(-1, TOWERS), strict=True)))
 
+    start = np.concatenate([[printer.take("r").mean()], *(printer.take(symbol) for symbol in symbols)])
+    return fit_delta(printer, unpack, start, np.array([1.0] + [0.01] * TOWERS + [1.0] * 2 * TOWERS))
+
+
+def fit_delta(printer: BareMachine, unpack: Callable[[Array], Array], start: Array, scale: Array) -> Array:
+    """Return the parameters (D,), out of some numbers x, whose tool is nearest to the calibrated one's.
+
+    At the same commands, by Gauss and Newton's method.
+    """
+    model, (pose, commands, _) = printer.model, printer.sample()
+    pose, commands = (one[np.isfinite(commands).all(axis=1)] for one in (pose, commands))
+    by_command = np.linalg.inv(model.linearise(printer.theta, pose, False).by_pose[:, :TOWERS])
+
     def leave(x: Array) -> Array:
         apart = np.nan_to_num(model.read(unpack(x), pose)[:, :TOWERS] - commands, nan=FAR_AWAY)
         return (by_command @ apart[..., None]).ravel()
 
-    start = np.concatenate([[printer.take("r").mean()], *(printer.take(symbol) for symbol in symbols)])
-    return unpack(least_squares(leave, start, x_scale=np.array([1.0] + [0.01] * TOWERS + [1.0] * 2 * TOWERS)).x)
+    return unpack(least_squares(leave, start, x_scale=scale).x)
 
 
 def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[BareMachine, _Towers]:
@@ -79,21 +95,21 @@ def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[BareMachine, 
     return printer, _read_towers(printer)
 
 
-def _write(values: Sequence[float] | Array) -> list[str]:
+def write_numbers(values: Sequence[float] | Array) -> list[str]:
     """Return numbers to a picometre."""
     return [repr(round(float(one), DIGITS) + 0.0) for one in values]
 
 
 def _list_words(letters: str, values: Sequence[float] | Array) -> str:
-    return " ".join(f"{letter}{text}" for letter, text in zip(letters, _write(values), strict=True))
+    return " ".join(f"{letter}{text}" for letter, text in zip(letters, write_numbers(values), strict=True))
 
 
 def list_klipper_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     """Return ``printer.cfg``: the sections of a delta's geometry, for the file that has all others."""
     printer, towers = _take_delta(calibrated, KLIPPER)
     lines = [f"# {one}" for one in (*calibrated.source.describe(), printer.describe(towers.held))]
-    lines += ["[printer]", "kinematics: delta", f"delta_radius: {_write([towers.radius])[0]}"]
-    rows = zip("abc", *(_write(one) for one in (towers.arms, towers.angles, towers.endstops)), strict=True)
+    lines += ["[printer]", "kinematics: delta", f"delta_radius: {write_numbers([towers.radius])[0]}"]
+    rows = zip("abc", *(write_numbers(one) for one in (towers.arms, towers.angles, towers.endstops)), strict=True)
     for tower, arm, angle, endstop in rows:
         lines += ["", f"[stepper_{tower}]", f"arm_length: {arm}", f"angle: {angle}", f"position_endstop: {endstop}"]
     return {"printer.cfg": ("\n".join(lines) + "\n").encode()}
@@ -108,28 +124,33 @@ def list_marlin_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
         alike = printer.change(r=towers.radius, e=towers.endstops, l=arm)
         said.append(printer.describe(alike, "To a firmware that does not know A, B and C of M665 the file"))
     lines = [f"; {one}" for one in said]
-    lines.append(f"M665 {_list_words('LRH', (arm, towers.radius, height))} {_list_turns(towers)}")
+    lines.append(f"M665 {_list_words('LRH', (arm, towers.radius, height))} {_list_turns(towers.angles)}")
     lines[-1] += f" {_list_words('ABC', towers.arms - arm)}"
     lines.append(f"M666 {_list_words('XYZ', height - towers.endstops)}")
     return {"marlin.gcode": ("\n".join([*lines, "M500 ; store"]) + "\n").encode()}
 
 
-def _list_turns(towers: _Towers) -> str:
-    """Return by what directions differ from those that firmwares take."""
-    return _list_words("XYZ", (towers.angles - DIRECTIONS + 180.0) % 360.0 - 180.0)
+def _list_turns(angles: Array) -> str:
+    """Return by what directions differ from those that firmwares take, degrees."""
+    return _list_words("XYZ", (angles - DIRECTIONS + 180.0) % 360.0 - 180.0)
 
 
 def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
-    """Return ``config.g``: M665 and M666 of a delta, M669 and M666 of a machine on four lines."""
-    printer = take_machine(calibrated, REPRAP, {"delta": DeltaMachine, "line_machine": LineMachine})
+    """Return ``config.g``: M665 and M666 of a delta, M669 of a rotary one, a Hangprinter or a five-bar."""
+    kinds: dict[str, type[ReadingMachine]] = {"delta": DeltaMachine, "rotary_delta": RotaryDelta}
+    printer = take_machine(calibrated, REPRAP, kinds | {"line_machine": LineMachine, "five_bar": FiveBar})
     if isinstance(printer.model.machine, LineMachine):
         held, lines = _list_hangprinter(printer, printer.model.machine)
+    elif isinstance(printer.model.machine, FiveBar):
+        held, lines = printer.theta, _list_five_bar(printer, printer.model.machine)
+    elif isinstance(printer.model.machine, RotaryDelta):
+        held, lines = printer.theta, _list_rotary(printer)
     else:
         towers = _read_towers(printer)
         held, height = towers.held, float(towers.endstops.mean())
-        arms = ":".join(_write(towers.arms))
+        arms = ":".join(write_numbers(towers.arms))
         lines = [
-            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers)}",
+            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers.angles)}",
             f"M666 {_list_words('XYZ', towers.endstops - height)} A0.0 B0.0",
         ]
     said = [f"; {one}" for one in (*calibrated.source.describe(), printer.describe(held))]
@@ -144,13 +165,45 @@ def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array
     if len(machine.parallel) != len(LINES):
         raise InputError(f"format {REPRAP}: found {len(machine.parallel)} lines, expected {len(LINES)}")
     anchors = np.stack([printer.take(f"A_{axis}") for axis in "xyz"], axis=-1)
-    places = " ".join(f"{line}{':'.join(_write(at))}" for line, at in zip(LINES, anchors, strict=True))
+    places = " ".join(f"{line}{':'.join(write_numbers(at))}" for line, at in zip(LINES, anchors, strict=True))
     parallel = ":".join(f"{int(one)}" for one in machine.parallel)
+    radii = ":".join(write_numbers(printer.take("R")))
     return printer.change(c=0.0), [
         f"; Gear {machine.gear!r}: L and H of M666, teeth of motor and spool, stay as they are.",
         f"M669 K6 {places}",
-        f"M666 Q{_write(printer.take('Q'))[0]} R{':'.join(_write(printer.take('R')))} U{parallel} O1:1:1:1",
+        f"M666 Q{write_numbers(printer.take('Q'))[0]} R{radii} U{parallel} O1:1:1:1",
     ]
+
+
+# --- arms that turn --------------------------------------------------------------------------------------------------
+
+
+def _list_arms(printer: BareMachine, words: Mapping[str, str]) -> str:
+    """Return values of several arms, or of one for all, by the words and the symbols that have them."""
+    return " ".join(f"{word}{':'.join(write_numbers(printer.take(symbol)))}" for word, symbol in words.items())
+
+
+def _list_rotary(printer: BareMachine) -> list[str]:
+    """Return the commands of a rotary delta; M666 is what the encoders' zeros add to the angle of the endstops."""
+    height = ":".join(write_numbers(np.repeat(printer.take("h"), TOWERS)))
+    turns = _list_turns(np.degrees(printer.take("angle")))
+    return [
+        "; M666 of arms whose endstops, with M666 of zero, were homed to the larger angle of A in the readings.",
+        f"M669 K10 {_list_arms(printer, {'R': 'r', 'U': 'L', 'L': 'l'})} H{height} {turns}",
+        f"M666 {_list_words('XYZ', np.degrees(printer.take('o')))}",
+    ]
+
+
+def _list_five_bar(printer: BareMachine, machine: FiveBar) -> list[str]:
+    """Return the command of a five-bar; InputError for elbows that the firmware has no mode for."""
+    mode = MODES.get((machine.config.elbows[0], machine.config.elbows[1]))
+    below = machine.coordinates[1].home - machine.coordinates[1].reach <= printer.take("y").max()
+    if mode is None or below:
+        found = "a workspace beside or below its motors" if below else "elbows to the right and to the left"
+        raise InputError(f"format {REPRAP}: found {found}, expected the tool above, elbows outwards or to one side")
+    ends = ":".join(write_numbers(np.degrees(printer.take("o"))))
+    arms = _list_arms(printer, {"X": "x", "Y": "y", "P": "L", "D": "l"})  # behind D: the tool where couplers meet
+    return ["; B is where cranks point when encoders read zero.", f"M669 K9 L{mode} {arms}:0.0:0.0 B{ends}"]
 
 
 FORMATS = {KLIPPER: list_klipper_files, MARLIN: list_marlin_files, REPRAP: list_reprapfirmware_files}

@@ -68,7 +68,8 @@ def export(
     name: Annotated[
         str | None,
         typer.Option(
-            "--format", help="mechanism or parameters (taken again), toml, json, csv, urdf, klipper, tpoint, ..."
+            "--format",
+            help="mechanism or parameters (taken again), toml, json, csv, urdf, dh, klipper, tpoint, grid, ...",
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Directory; default machines/NAME-VARIANT.")] = None,

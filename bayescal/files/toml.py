@@ -51,7 +51,7 @@ def _write(value: object) -> str:
     if isinstance(value, Mapping):
         inner = ", ".join(f"{_quote(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}" if inner else "{}"
-    if isinstance(value, list) and value and isinstance(value[0], list):
+    if isinstance(value, list) and value and isinstance(value[0], list | Mapping):
         return "".join(["[\n", *(f"    {_write(row)},\n" for row in value), "]"])
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_write, value))}]"

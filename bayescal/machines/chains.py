@@ -27,6 +27,8 @@ FURTHEST = LONGEST  # mm from one joint to the next, or along all of them, beyon
 SHORTEST_AXIS = 1e-9
 LONGEST_NAME = 40
 LARGEST = 1e100  # whose square is a number still
+PARALLEL = 1e-9  # rad between two axes, below which rounding of their common normal's place is the larger error
+COAXIAL = 1e-9  # mm between two parallel axes, below which they are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +100,70 @@ class DenavitRow:
     alpha: float = 0.0
     theta: float = 0.0
 
+    @property
+    def across(self) -> Place:
+        """Tx(a) Rx(alpha)."""
+        return Place(np.array([self.a, 0.0, 0.0]), _turn_about("x", self.alpha))
 
-def chain_rows(rows: Sequence[DenavitRow], joints: Sequence[Joint], modified: bool, tip: Place) -> Chain:
-    """Return a chain by rows, with names, ranges and masses from ``joints``, whose places are not read.
+    @property
+    def along(self) -> Place:
+        """Rz(theta) Tz(d)."""
+        return Place(np.array([0.0, 0.0, self.d]), _turn_about("z", self.theta))
+
+
+def chain_rows(
+    rows: Sequence[DenavitRow], joints: Sequence[Joint], modified: bool, tip: Place, base: Place | None = None
+) -> Chain:
+    """Return a chain by rows that begin at a base, with names, ranges and masses from ``joints``, but for their places.
 
     Classical rows are Rz(q + theta) Tz(d) Tx(a) Rx(alpha), modified ones (Craig) Rx(alpha) Tx(a) Rz(q + theta) Tz(d).
     """
-    found, before = list[Joint](), Place()
+    found, before = list[Joint](), base or Place()
     for row, joint in zip(rows, joints, strict=True):
-        across = Place(np.array([row.a, 0.0, 0.0]), _turn_about("x", row.alpha))
-        along = Place(np.array([0.0, 0.0, row.d]), _turn_about("z", row.theta))
-        here = before.then(across).then(along) if modified else before.then(along)
+        here = before.then(row.across).then(row.along) if modified else before.then(row.along)
         found.append(replace(joint, place=here))
-        before = Place() if modified else across
+        before = Place() if modified else row.across
     return Chain(found, before.then(tip))
+
+
+def find_rows(chain: Chain, modified: bool, last: DenavitRow) -> tuple[Place, list[DenavitRow], Place]:
+    """Return base, rows and tip of any chain: `chain_rows` makes one of them that stands wherever it does.
+
+    A joint's frame may turn about, and slide along, its own axis: the joint does not notice. What takes one axis to the
+    next is Rz(theta) Tz(d) Rx(alpha) Tx(a) Rz(theta') Tz(d') then, x the common normal of both; theta and d belong to
+    the joint before. Classical rows end beyond the last joint, where ``last`` has a and alpha.
+    """
+    pairs = [_find_normal(one.place) for one in chain.joints]
+    before, rows = [one for one, _ in pairs[1:]] + [DenavitRow()], [row for _, row in pairs]
+    sums = [(row.d + more.d, row.theta + more.theta) for row, more in zip(rows, before, strict=True)]
+    across = rows if modified else [*rows[1:], last]
+    found = [DenavitRow(d, row.a, row.alpha, theta) for (d, theta), row in zip(sums, across, strict=True)]
+    base = pairs[0][0].along
+    return (
+        (base, found, chain.tip) if modified else (base.then(rows[0].across), found, last.across.back.then(chain.tip))
+    )
+
+
+def _find_normal(place: Place) -> tuple[DenavitRow, DenavitRow]:
+    """Return what turns and slides a frame to the common normal of its z axis and another's, and a modified row on.
+
+    Of both directions of the normal it is that nearer to x; of all common normals of parallel axes that through the
+    first frame's origin.
+    """
+    x, y, z = place.axes[:, 2]
+    parallel = np.hypot(x, y) < PARALLEL
+    normal = place.position[:2] if parallel else np.array([-y, x])
+    if not parallel or np.hypot(*normal) > COAXIAL:
+        theta = float(np.arctan2(*(np.copysign(1.0, normal[0]) * normal)[::-1]))
+    else:
+        theta = 0.0
+    seen = Place(axes=_turn_about("z", -theta)).then(place)
+    sine, cosine = (0.0, np.sign(z)) if parallel else (-seen.axes[1, 2], z)
+    alpha = float(np.arctan2(sine, cosine))
+    along = float(cosine * seen.position[2] if parallel else -seen.position[1] / sine)
+    turned = _turn_about("x", -alpha) @ seen.axes
+    own = DenavitRow(along, float(seen.position[0]), alpha, float(np.arctan2(turned[1, 0], turned[0, 0])))
+    return DenavitRow(d=0.0 if parallel else float(seen.position[2] - cosine * along), theta=theta), own
 
 
 def _turn_about(axis: str, angle: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -155,6 +156,87 @@ def test_what_frames_do_not_hold_is_said(tmp_path, rng, symbols):
     assert_tips(found, text, "tip", names, rng, within=1.6 * left)
     with pytest.raises(AssertionError):
         assert_tips(found, text, "tip", names, rng, within=0.6 * left)
+
+
+# --- Denavit and Hartenberg's rows -----------------------------------------------------------------------------------
+
+SCARA = EXPERIMENTS.parent / "examples" / "machines" / "scara.toml"
+
+
+def place_rows(machine, q):
+    """Return where the tip of a file's rows stands, mm (4, 4), at joints q, rad and mm."""
+
+    def step(axis, angle=0.0, way=0.0):
+        found = np.eye(4)
+        found[:3, :3] = Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+        found["xyz".index(axis), 3] = way
+        return found
+
+    def frame(name):
+        found = np.eye(4)
+        found[:3, 3] = machine[f"{name}_mm"]
+        found[:3, :3] = Rotation.from_rotvec(machine[f"{name}_deg"], degrees=True).as_matrix()
+        return found
+
+    here = frame("base")
+    for row, value in zip(machine["joints"], q, strict=True):
+        turn, slide = (0.0, value) if "range_mm" in row else (np.degrees(value), 0.0)
+        along = step("z", row["theta_deg"] + turn, row["d_mm"] + slide)
+        across = step("x", row["alpha_deg"], row["a_mm"])
+        here = here @ (across @ along if machine["convention"] == "modified" else along @ across)
+    return here @ frame("tip")
+
+
+def export_rows(found, folder):
+    """Return a calibrated arm's rows, and what their file says."""
+    written = export_machine(found, folder, "dh")
+    text = (folder / "dh.toml").read_text()
+    return tomllib.loads(text)["machine"], describe_carried(written), text
+
+
+def make_rows(name, rng, **how):
+    """Return a calibrated arm of classical rows, of a URDF file, or one that slides."""
+    paths = {"ur10": UR10, "panda": EXPERIMENTS / "panda_socket" / "machine.toml", "scara": SCARA}
+    return make_calibrated(paths[name], rng, **how)
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "scara"])
+def test_rows_place_the_tip(tmp_path, rng, name):
+    found = make_rows(name, rng)
+    machine, said, text = export_rows(found, tmp_path / "out")
+    assert machine["convention"] == ("modified" if name == "panda" else "classical")
+    pose = draw_poses(found.model, rng)
+    again = read_reading_model(tmp_path / "out" / "dh.toml")
+    there = again.tool_values(again.layout.nominal, pose)
+    for q, tool, other in zip(pose, found.model.tool_values(found.theta, pose), there, strict=True):
+        for position, rotation in (
+            ((place := place_rows(machine, q))[:3, 3], place[:3, :3]),
+            (other[:3], Rotation.from_rotvec(other[3:]).as_matrix()),
+        ):
+            np.testing.assert_allclose(position, tool[:3], rtol=0.0, atol=NANOMETRE)
+            np.testing.assert_allclose(rotation, Rotation.from_rotvec(tool[3:]).as_matrix(), atol=1e-9)
+    assert WRITTEN.match(said[0])[3] == ""
+    assert "mm are left" in said[1]  # without the base
+    assert ("are parallel to" in text) == (name != "panda")
+
+
+@pytest.mark.parametrize("name", ["ur10", "scara"])
+def test_rows_that_nothing_changed_are_those_stated(tmp_path, rng, name):
+    found = make_rows(name, rng, size=0.0)
+    machine, said, _ = export_rows(found, tmp_path / "out")
+    stated = found.model.machine.config
+    for row, one in zip(machine["joints"], stated.joints, strict=True):
+        keys = ("d_mm", "a_mm", "alpha_deg", "theta_deg")
+        np.testing.assert_allclose([row[key] for key in keys], [getattr(one, key) for key in keys], atol=1e-9)
+    assert not np.any([machine[f"base_{unit}"] for unit in ("mm", "deg")])
+    np.testing.assert_allclose([machine["tip_mm"], machine["tip_deg"]], [stated.tip_mm, stated.tip_deg], atol=1e-9)
+    assert len(said) == 1
+
+
+def test_rows_do_not_hold_gains(tmp_path, rng):
+    found = make_rows("ur10", rng, symbols=("gain",))
+    _, said, _ = export_rows(found, tmp_path / "out")
+    assert float(re.match(r"; (\S+) mm are left", WRITTEN.match(said[0])[3])[1]) > 0.01
 
 
 # --- the calibration file of a UR ------------------------------------------------------------------------------------

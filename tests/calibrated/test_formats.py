@@ -81,8 +81,9 @@ def test_genhexkins_takes_the_same_poses(genhex, hexapod, rng, tmp_path):
     assert np.abs(before.leg_lengths - hexapod.legs.mechanism.leg_lengths).max() > 0.01  # as calibrated, not nominal
 
 
-def test_hal_file_has_nothing_but_comments_and_pins(hexapod, tmp_path):
-    export_machine(hexapod, tmp_path, "genhexkins")
+@pytest.mark.parametrize("name", ["genhexkins", "linuxcnc"])
+def test_hal_file_has_nothing_but_comments_and_pins(hexapod, tmp_path, name):
+    export_machine(hexapod, tmp_path, name)
     lines = (tmp_path / "genhexkins.hal").read_text().splitlines()
     pins = [line.split() for line in lines if not line.startswith("#")]
     assert all(len(pin) == 3 and pin[0] == "setp" and pin[1].startswith("genhexkins.") for pin in pins)

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import configparser
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import studies
 from calibrated_readings import build_planned, calibrate
-from deltas import build_delta, trilaterate
+from deltas import build_delta, build_five_bar, build_rotary_delta, trilaterate
 from refusals import line_of
 from scipy.optimize import least_squares
 
-from bayescal.calibrated.carried import describe_carried
+from bayescal.calibrated.carried import BareMachine, describe_carried
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import CommandErrors, Source, build_calibrated
 from bayescal.machines.read import read_reading_model
 from bayescal.machines.readings import FunctionModel
+from bayescal.machines.readings.delta import DeltaMachine
 
 NANOMETRE = 1e-6  # mm
 DIRECTIONS = np.array([210.0, 330.0, 90.0])
@@ -146,7 +148,100 @@ def test_a_hangprinter_turns_its_motors_to_the_same_places(rng, tmp_path):
         np.testing.assert_allclose(reached.x, point, rtol=0.0, atol=NANOMETRE)
 
 
-@pytest.mark.parametrize("name", FIRMWARES)
+def test_a_rotary_delta_turns_its_arms_to_the_same_places(rng, tmp_path):
+    found = make_calibrated(FunctionModel("rotary", build_rotary_delta()), rng)
+    export_machine(found, tmp_path, "reprapfirmware")
+    text = (tmp_path / "config.g").read_text()
+    words, zeros = list_words(text, "M669"), list_words(text, "M666")
+    assert words["K"] == [10.0]
+    angle = np.radians([words[axis][0] for axis in "XYZ"] + DIRECTIONS)
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    for point in rng.uniform([-70.0, -70.0, 5.0], [70.0, 70.0, 70.0], (20, 3)):
+        turned = found.model.read(found.theta, point)[:3] + np.radians([zeros[axis][0] for axis in "XYZ"])
+        away = words["R"][0] + np.array(words["U"]) * np.cos(turned)
+        elbows = np.column_stack([away[:, None] * out, words["H"] + np.array(words["U"]) * np.sin(turned)])
+        np.testing.assert_allclose(trilaterate(elbows, np.array(words["L"])), point, rtol=0.0, atol=NANOMETRE)
+
+
+@pytest.mark.parametrize("elbows", [("left", "right"), ("right", "right"), ("left", "left")])
+def test_a_five_bar_turns_its_motors_to_the_same_places(rng, tmp_path, elbows):
+    machine = build_five_bar(elbows=list(elbows))
+    found = make_calibrated(FunctionModel("five_bar", machine), rng)
+    written = export_machine(found, tmp_path, "reprapfirmware")
+    words = list_words((tmp_path / "config.g").read_text(), "M669")
+    sides = {1: (1.0, 1.0), 2: (-1.0, 1.0), 4: (-1.0, -1.0)}[int(words["L"][0])]  # of elbows along x
+    assert words["K"] == [9.0]
+    assert words["D"][2:] == [0.0, 0.0]
+    for point in rng.uniform([-80.0, 190.0], [80.0, 310.0], (10, 2)):
+        for arm, side in enumerate(sides):
+            motor = np.array([words["X"][arm], words["Y"][arm]])
+            crank, coupler = words["P"][arm], words["D"][arm]
+            away = np.linalg.norm(point - motor)
+            along = (away**2 + crank**2 - coupler**2) / (2.0 * away)
+            aside = np.sqrt(crank**2 - along**2) * np.array([point[1] - motor[1], motor[0] - point[0]]) / away
+            elbow = along * (point - motor) / away + side * aside * np.sign(aside[0])
+            read = found.model.read(found.theta, point)[arm]
+            turned = np.degrees(np.arctan2(elbow[1], elbow[0])) - words["B"][arm]
+            assert (turned - np.degrees(read) + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-7)
+    carried, of = re.match(r"The file carries (\S+) of (\S+) mm", describe_carried(written)[0]).groups()
+    assert carried == of
+
+
+def test_a_five_bar_that_the_firmware_does_not_have_is_refused(rng, tmp_path):
+    inwards = build_five_bar(elbows=["right", "left"])
+    below = build_five_bar(workspace_mm=[[-90.0, 90.0], [-320.0, -180.0]])
+    for machine, said in ((inwards, "found elbows to the right and"), (below, "found a workspace beside or below")):
+        found = make_calibrated(FunctionModel("five_bar", machine), rng, 0.0)
+        assert said in line_of(lambda one=found: export_machine(one, tmp_path, "reprapfirmware"))
+
+
+# --- LinuxCNC --------------------------------------------------------------------------------------------------------
+
+
+def read_hal(text):
+    """Return towers (3, 2) of joints 0 to 2, arm, tower numbers and heights of carriages at their endstops."""
+    pins = dict(line.split()[1:] for line in text.splitlines() if line.startswith("setp"))
+    assert set(pins) == {"lineardeltakins.R", "lineardeltakins.L"}
+    radius, arm = float(pins["lineardeltakins.R"]), float(pins["lineardeltakins.L"])
+    half, side = 0.5 * radius, np.sqrt(0.75) * radius
+    homes = re.findall(r"^# joint (\d): tower (\d), \[JOINT_\1\] HOME_OFFSET = (\S+)$", text, re.MULTILINE)
+    assert [int(one[0]) for one in homes] == [0, 1, 2]
+    towers = np.array([[0.0, radius], [-side, -half], [side, -half]])
+    return towers, arm, [int(one[1]) - 1 for one in homes], np.array([float(one[2]) for one in homes])
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_linuxcnc_comes_to_the_same_places(printer, rng, tmp_path, alike):
+    one = BareMachine(FunctionModel("one", printer.model.machine.machine), printer.theta, {})
+    theta = printer.theta.copy()
+    if alike:
+        theta = one.change(l=one.take("l").mean(), angle=np.radians(DIRECTIONS))
+    printer = replace(printer, theta=theta)
+    written = export_machine(printer, tmp_path, "linuxcnc")
+    towers, arm, order, ends = read_hal((tmp_path / "lineardeltakins.hal").read_text())
+    assert order == [2, 0, 1]  # of towers at 210, 330 and 90 degrees
+    half = printer.model.pose_scale[:3]
+    point = printer.model.home_pose[:3] + half * rng.uniform(-1.0, 1.0, (300, 3))
+    travel = printer.model.read(theta, np.hstack([point, point + 1.0]))[:, order]
+    there = [trilaterate(np.column_stack([towers, ends - s]), np.full(3, arm)) for s in travel]
+    left = np.sqrt(((there - point) ** 2).sum(axis=1).mean())
+    carried, of, rest = re.match(r"The file carries (\S+) of (\S+) mm [^;]*(.*)", describe_carried(written)[0]).groups()
+    assert (rest == "") == alike
+    if alike:
+        assert left < NANOMETRE
+        assert carried == of
+    else:
+        assert left == pytest.approx(float(re.search(r"(\S+) mm are left", rest)[1]), rel=0.1)
+
+
+def test_linuxcnc_has_no_other_towers(rng, tmp_path):
+    config = build_delta().config.model_copy(update={"angle_deg": [30.0, 150.0, 270.0]})
+    found = make_calibrated(FunctionModel("towers", DeltaMachine(config)), rng)
+    line = line_of(lambda: export_machine(found, tmp_path, "linuxcnc"))
+    assert "found towers at 30, 150, 270 degrees, expected them near 90, 210, 330" in line
+
+
+@pytest.mark.parametrize("name", [*FIRMWARES, "linuxcnc"])
 def test_other_machines_are_refused(rng, tmp_path, name):
     found = calibrate(build_planned("star"), 20, rng)
     assert 'expected kind = "delta"' in line_of(lambda: export_machine(found, tmp_path, name))

@@ -19,6 +19,7 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Parameters, ReadingMachine
 from bayescal.machines.readings.line_machine import AXES, LineMachine
+from bayescal.machines.readings.places import TwoPlaces
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
 from bayescal.numerics.geometry import Array
@@ -54,8 +55,9 @@ def describe_machine(path: Path) -> Page:
     model = read_reading_model(path)
     if model.legs is not None:
         return _describe_mechanism(model.legs.machine.mechanism)
+    machine = getattr(model, "machine", model)
     with name_faults(f"{path}: kind"):
-        return _describe(getattr(model, "machine", model), getattr(model, "name", ""))
+        return _describe(machine.machine if isinstance(machine, TwoPlaces) else machine, getattr(model, "name", ""))
 
 
 @singledispatch

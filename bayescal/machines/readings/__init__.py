@@ -9,6 +9,7 @@ from bayescal.machines.readings.tracker import Tracker
 MACHINES = {
     "arm": "bayescal.machines.readings.arm:Arm",
     "delta": "bayescal.machines.readings.delta:DeltaMachine",
+    "five_bar": "bayescal.machines.readings.five_bar:FiveBar",
     "mount": "bayescal.machines.readings.mount:Mount",
     "rotary_delta": "bayescal.machines.readings.rotary_delta:RotaryDelta",
     "line_machine": "bayescal.machines.readings.line_machine:LineMachine",

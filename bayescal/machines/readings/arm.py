@@ -64,6 +64,8 @@ class JointConfig(Section):
     """What the joint is called."""
     range_deg: Annotated[list[Number], Field(min_length=2, max_length=2)] = Field(default=[-180.0, 180.0])
     """Smallest and largest reading of a joint that turns."""
+    range_mm: Annotated[list[Number], Field(min_length=2, max_length=2)] = Field(default=[])
+    """Smallest and largest reading of a joint that slides along its axis: one that states it does."""
     mass_kg: NotNegative = 0.0
     """What it moves up to the next joint."""
     centre_mm: Vector = Field(default=[0.0, 0.0, 0.0])
@@ -83,6 +85,10 @@ class ArmConfig(Section):
     """Rows of the joints, instead of a URDF file."""
     convention: Literal["classical", "modified"] = "classical"
     """Of the rows: `classical` (Denavit and Hartenberg) or `modified` (Craig)."""
+    base_mm: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Where the frame that the first row begins in is, seen from the base."""
+    base_deg: Vector = Field(default=[0.0, 0.0, 0.0])
+    """Rotation vector that turns the axes of the base to that frame's."""
     tip_mm: Vector = Field(default=[0.0, 0.0, 0.0])
     """Where the tip is in the frame that the last row ends in."""
     tip_deg: Vector = Field(default=[0.0, 0.0, 0.0])
@@ -123,7 +129,8 @@ class ArmConfig(Section):
                 raise ValueError(f"joints: found {name!r} twice, expected unique names")
         if self.workspace_deg and len(self.workspace_deg) != n:
             raise ValueError(f"workspace_deg: found {len(self.workspace_deg)} joints, expected {n}")
-        for low, high in (*self.workspace_deg, *(one.range_deg for one in self.joints)):
+        ranges = [stated for one in self.joints for stated in (one.range_deg, one.range_mm) if stated]
+        for low, high in (*self.workspace_deg, *ranges):
             if not low < high:
                 raise ValueError(f"found a range from {low:g} to {high:g}, expected the smaller first")
         return self
@@ -135,15 +142,18 @@ class ArmConfig(Section):
         ]
         joints = list[Joint]()
         for k, (one, row) in enumerate(zip(self.joints, rows, strict=True), start=1):
-            low, high = np.radians(one.range_deg)
+            low, high = one.range_mm or np.radians(one.range_deg)
             centre = np.array(one.centre_mm)
             if self.convention == "classical":  # the row's end, seen from the joint's own frame
                 end = Place(np.array([row.a, 0.0, 0.0]), Rotation.from_euler("x", row.alpha).as_matrix())
                 centre = end.position + end.axes @ centre
             name = one.name or f"joint_{k}"
-            joints.append(Joint(name, Place(), False, (float(low), float(high)), one.mass_kg, centre))
-        tip = Place(np.array(self.tip_mm), Rotation.from_rotvec(np.radians(self.tip_deg)).as_matrix())
-        return chain_rows(rows, joints, self.convention == "modified", tip)
+            joints.append(Joint(name, Place(), bool(one.range_mm), (float(low), float(high)), one.mass_kg, centre))
+        base, tip = (
+            Place(np.array(position), Rotation.from_rotvec(np.radians(turn)).as_matrix())
+            for position, turn in ((self.base_mm, self.base_deg), (self.tip_mm, self.tip_deg))
+        )
+        return chain_rows(rows, joints, self.convention == "modified", tip, base)
 
 
 class Arm(ReadingMachine):

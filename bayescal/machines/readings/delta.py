@@ -17,10 +17,10 @@ directions of x and y are a convention: one angle stays as stated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayescal.config.sections import Length, Number, Positive, Section
 from bayescal.machines.parameters import ParameterBlock
@@ -29,10 +29,38 @@ from bayescal.machines.readings.function import Parameters, ReadingMachine
 from bayescal.numerics.analytic import sqrt
 
 TOWERS = 3
+ARMS = [*((0, k) for k in (1, 2, 3)), *((k, k + TOWERS) for k in (1, 2, 3))]
+"""Lines of an outline: from the tool to three joints, and on to what these stand on."""
 type EachTower[T] = T | Annotated[list[T], Field(min_length=TOWERS, max_length=TOWERS)]
 
 
-class DeltaMachineConfig(Section):
+class RoundWorkspace(Section):
+    """Where the tool of a delta has to be accurate."""
+
+    workspace_radius_mm: Positive
+    """Radius of the disc where accuracy counts; its largest square is the workspace in x and y."""
+    workspace_height_mm: Positive
+    """Height over the bed up to which accuracy counts."""
+
+
+class ToolOverBed(ReadingMachine):
+    """A tool that does not turn, whose height over a flat bed a probe reads; its coordinates are x, y and z, mm."""
+
+    tool_channels = tuple(Channel(axis, "mm") for axis in "xyz")
+
+    def __init__(self, config: RoundWorkspace, actuator: str, unit: str) -> None:
+        """Lay out coordinates, and channels of three actuators and the probe."""
+        super().__init__(config)
+        half, height = float(config.workspace_radius_mm / np.sqrt(2.0)), 0.5 * config.workspace_height_mm
+        self.coordinates = [
+            *(Coordinate(axis, "mm", 0.0, half) for axis in "xy"),
+            Coordinate("z", "mm", height, height),
+        ]
+        channels = [Channel(f"{actuator}[{k}]", unit) for k in range(1, TOWERS + 1)]
+        self.channels = [*channels, Channel("height", "mm", external=True)]
+
+
+class DeltaMachineConfig(RoundWorkspace):
     """A linear delta, as its firmware has it; lengths are one for all towers or one each."""
 
     radius_mm: EachTower[Length]
@@ -45,13 +73,17 @@ class DeltaMachineConfig(Section):
         default=[210.0, 330.0, 90.0]
     )
     """Directions of the towers from the centre, counted from x to y."""
-    workspace_radius_mm: Positive
-    """Radius of the disc where accuracy counts; its largest square is the workspace in x and y."""
-    workspace_height_mm: Positive
-    """Height over the bed up to which accuracy counts."""
+
+    @model_validator(mode="after")
+    def _check_arms(self) -> Self:
+        arms, radii = spread_over_towers(self.arm_mm), spread_over_towers(self.radius_mm)
+        for k, (long, wide) in enumerate(zip(arms, radii, strict=True), start=1):
+            if long <= wide:
+                raise ValueError(f"arm_mm: found {long:g} of tower {k}, expected more than its radius, {wide:g}")
+        return self
 
 
-class DeltaMachine(ReadingMachine):
+class DeltaMachine(ToolOverBed):
     """Carriages below their endstops, and the height that a probe on the tool reads of the bed.
 
     Parameters: ``r`` (one, or of each tower), ``l`` and ``e``, mm; ``angle``, rad. Coordinates: x, y, z of the
@@ -62,28 +94,15 @@ class DeltaMachine(ReadingMachine):
     member = "tower"
 
     def __init__(self, config: DeltaMachineConfig) -> None:
-        """Lay out parameters, coordinates and channels; ValueError for an arm that is no longer than its radius."""
-        super().__init__(config)
+        """Lay out parameters, coordinates and channels."""
+        super().__init__(config, "s", "mm")
         radius, arm, endstop = (spread_over_towers(one) for one in (config.radius_mm, config.arm_mm, config.endstop_mm))
-        for k, (long, wide) in enumerate(zip(arm, radius, strict=True), start=1):
-            if long <= wide:
-                raise ValueError(f"arm_mm: found {long:g} of tower {k}, expected more than its radius, {wide:g}")
         self.has_radii = isinstance(config.radius_mm, list)
         self.parameters = [
             ParameterBlock("r", radius if self.has_radii else radius[:1], per_leg=self.has_radii, lower=0.0),
             ParameterBlock("angle", tuple(np.radians(config.angle_deg).tolist()), "rad"),
             ParameterBlock("l", arm, lower=0.0),
             ParameterBlock("e", endstop),
-        ]
-        half, height = config.workspace_radius_mm / np.sqrt(2.0), 0.5 * config.workspace_height_mm
-        self.coordinates = [
-            *(Coordinate(axis, "mm", 0.0, float(half)) for axis in "xy"),
-            Coordinate("z", "mm", height, height),
-        ]
-        self.tool_channels = [Channel(axis, "mm") for axis in "xyz"]
-        self.channels = [
-            *(Channel(f"s[{k}]", "mm") for k in range(1, TOWERS + 1)),
-            Channel("height", "mm", external=True),
         ]
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
@@ -105,6 +124,16 @@ class DeltaMachine(ReadingMachine):
             rows.append([x / rise, y / rise, -1.0])
         return [*rows, [0.0, 0.0, 1.0]]
 
+    def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]]:
+        """Return the tool, the carriages, and the towers' feet at the height of the bed."""
+        x, y, z = v[..., 0], v[..., 1], v[..., 2]
+        carriages, feet = [], []
+        for _, arm, (over_x, over_y) in self._list_arms(parameters, v):
+            rise = sqrt(arm * arm - over_x * over_x - over_y * over_y)
+            carriages.append([x - over_x, y - over_y, z + rise])
+            feet.append([x - over_x, y - over_y, 0.0 * z])
+        return stack_points([[x, y, z], *carriages, *feet]), ARMS
+
     def _list_arms(
         self, parameters: Parameters, v: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]]:
@@ -116,6 +145,12 @@ class DeltaMachine(ReadingMachine):
             across = v[..., 0] - radius * np.cos(angle), v[..., 1] - radius * np.sin(angle)
             found.append((radius, parameters["l"][..., k], across))
         return found
+
+
+def stack_points(points: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """Return P points (..., P, 3) of their coordinates."""
+    axes = [np.stack(np.broadcast_arrays(*(point[k] for point in points)), axis=-1) for k in range(3)]
+    return np.stack(np.broadcast_arrays(*axes), axis=-1)
 
 
 def spread_over_towers(value: float | list[float]) -> tuple[float, ...]:

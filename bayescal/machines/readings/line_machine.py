@@ -23,10 +23,10 @@ and so have its anchors: how far an anchor is from the plane is known, and adds 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from bayescal.config.sections import NotNegative, Number, Positive, Section, Vector
 from bayescal.machines.parameters import ParameterBlock
@@ -82,6 +82,12 @@ class LineMachineConfig(Section):
     force_at_origin_n: list[NotNegative] = Field(default=[])
     """Tensions at the origin, one per line; with `tension = "measured"`."""
 
+    @model_validator(mode="after")
+    def _check_tension(self) -> Self:
+        if self.tension == "hanging" and len(self.workspace_half_width_mm) < len(AXES):
+            raise ValueError("tension: found 'hanging' in a plane, expected 'none' or 'measured'")
+        return self
+
 
 class LineMachine(ReadingMachine):
     """A point on lines with encoders at their spools, seen or not by an instrument beside it."""
@@ -92,8 +98,6 @@ class LineMachine(ReadingMachine):
     def __init__(self, config: LineMachineConfig) -> None:
         """Lay out parameters, coordinates and channels."""
         self.tension, self.axes = config.tension, AXES[: len(config.workspace_half_width_mm)]
-        if self.tension == "hanging" and self.axes != AXES:
-            raise ValueError("tension: found 'hanging' in a plane, expected 'none' or 'measured'")
         self.parallel = np.array([float(one.n_parallel_lines) for one in config.lines])
         self.gear, self.weight = config.gear, config.mass_kg * GRAVITY
         n = range(1, len(config.lines) + 1)

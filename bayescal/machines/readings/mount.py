@@ -87,6 +87,13 @@ class MountConfig(Section):
             raise ValueError(f"{key}: found with axes {self.axes!r}, expected none")
         if self.axes != ALTAZIMUTH and self.latitude_deg is None:
             raise ValueError("latitude_deg: missing, expected that of the equatorial mount")
+        for name in DIRECTIONS[self.axes]:
+            low, high = getattr(self, f"{name}_deg")
+            if not low < high:
+                raise ValueError(f"{name}_deg: found {low:g} to {high:g}, expected the smaller first")
+        floor = 0.0 if self.axes == ALTAZIMUTH else -90.0
+        if not floor < low < high < 90.0:
+            raise ValueError(f"{name}_deg: found {low:g} to {high:g}, expected ends between {floor:g} and 90")
         return self
 
 
@@ -98,16 +105,10 @@ class Mount(ReadingMachine):
     commanded = ("encoder",)
 
     def __init__(self, config: MountConfig) -> None:
-        """Lay out parameters, coordinates and channels; ValueError for ends in another order or beyond the poles."""
+        """Lay out parameters, coordinates and channels."""
         self.axes, (first, second) = config.axes, DIRECTIONS[config.axes]
         self.from_south, self.latitude = config.azimuth_from == "south", float(np.radians(config.latitude_deg or 0.0))
         ends = {name: getattr(config, f"{name}_deg") for name in (first, second)}
-        for name, (low, high) in ends.items():
-            if not low < high:
-                raise ValueError(f"{name}_deg: found {low:g} to {high:g}, expected the smaller first")
-        (low, high), floor = ends[second], 0.0 if self.axes == ALTAZIMUTH else -90.0
-        if not floor < low < high < 90.0:
-            raise ValueError(f"{second}_deg: found {low:g} to {high:g}, expected ends between {floor:g} and 90")
         circle = 2.0 * np.pi
         self.parameters = [ParameterBlock(name, (0.0,), "rad", per_leg=False) for name in TERMS[self.axes]]
         self.tool_channels = [Channel(first, "rad", period=circle), Channel(second, "rad", ends=SKY[second])]

@@ -16,20 +16,29 @@ one angle stays as stated.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from bayescal.config.sections import Length, Number, Positive, Section
+from bayescal.config.sections import Length, Number
 from bayescal.machines.parameters import ParameterBlock
-from bayescal.machines.readings.base import Channel, Coordinate, Given
-from bayescal.machines.readings.delta import TOWERS, EachTower, spread_over_towers
-from bayescal.machines.readings.function import Parameters, ReadingMachine
+from bayescal.machines.readings.base import Given
+from bayescal.machines.readings.delta import (
+    ARMS,
+    TOWERS,
+    EachTower,
+    RoundWorkspace,
+    ToolOverBed,
+    spread_over_towers,
+    stack_points,
+)
+from bayescal.machines.readings.function import Parameters
 from bayescal.numerics.analytic import atan2, sqrt
 
 
-class RotaryDeltaConfig(Section):
+class RotaryDeltaConfig(RoundWorkspace):
     """A rotary delta; lengths of arms are one for all or one each."""
 
     radius_mm: Length
@@ -44,13 +53,9 @@ class RotaryDeltaConfig(Section):
         default=[30.0, 150.0, 270.0]
     )
     """Directions of the shoulders from the centre, counted from x to y."""
-    workspace_radius_mm: Positive
-    """Radius of the disc where accuracy counts; its largest square is the workspace in x and y."""
-    workspace_height_mm: Positive
-    """Height over the bed up to which accuracy counts."""
 
 
-class RotaryDelta(ReadingMachine):
+class RotaryDelta(ToolOverBed):
     """Encoders of the upper arms, and the height that a probe on the tool reads of the bed.
 
     Parameters: ``r``, ``h``, ``L`` and ``l``, mm; ``angle`` and ``o``, rad. Coordinates: x, y, z of the tool, mm.
@@ -62,7 +67,7 @@ class RotaryDelta(ReadingMachine):
 
     def __init__(self, config: RotaryDeltaConfig) -> None:
         """Lay out parameters, coordinates and channels."""
-        super().__init__(config)
+        super().__init__(config, "q", "rad")
         self.parameters = [
             ParameterBlock("r", (config.radius_mm,), per_leg=False, lower=0.0),
             ParameterBlock("h", (config.height_mm,), per_leg=False),
@@ -71,28 +76,32 @@ class RotaryDelta(ReadingMachine):
             ParameterBlock("l", spread_over_towers(config.lower_arm_mm), lower=0.0),
             ParameterBlock("o", (0.0,) * TOWERS, "rad"),
         ]
-        half, height = config.workspace_radius_mm / np.sqrt(2.0), 0.5 * config.workspace_height_mm
-        self.coordinates = [
-            *(Coordinate(axis, "mm", 0.0, float(half)) for axis in "xy"),
-            Coordinate("z", "mm", height, height),
-        ]
-        self.tool_channels = [Channel(axis, "mm") for axis in "xyz"]
-        self.channels = [
-            *(Channel(f"q[{k}]", "rad") for k in range(1, TOWERS + 1)),
-            Channel("height", "mm", external=True),
-        ]
 
     def read(self, parameters: Parameters, v: np.ndarray, given: Given) -> np.ndarray:
         """Return what encoders read, and the height."""
         del given
-        x, y, z = v[..., 0], v[..., 1], v[..., 2]
-        up, encoders = z - parameters["h"], []
+        encoders = [turned - parameters["o"][..., k] for k, turned in enumerate(self._turn_arms(parameters, v))]
+        return np.stack(np.broadcast_arrays(*encoders, v[..., 2]), axis=-1)
+
+    def _turn_arms(self, parameters: Parameters, v: np.ndarray) -> list[np.ndarray]:
+        """Return by how much each upper arm is turned from the horizontal, arrays (...)."""
+        x, y = v[..., 0], v[..., 1]
+        up, arms = v[..., 2] - parameters["h"], []
         for k in range(TOWERS):
             cosine, sine = np.cos(parameters["angle"][..., k]), np.sin(parameters["angle"][..., k])
             upper, lower = parameters["L"][..., k], parameters["l"][..., k]
             out, aside = x * cosine + y * sine - parameters["r"], y * cosine - x * sine
             square = out * out + up * up
             share = (upper * upper + square + aside * aside - lower * lower) / (2.0 * upper)
-            turned = atan2(up, out) + atan2(sqrt(square - share * share), share)
-            encoders.append(turned - parameters["o"][..., k])
-        return np.stack(np.broadcast_arrays(*encoders, z), axis=-1)
+            arms.append(atan2(up, out) + atan2(sqrt(square - share * share), share))
+        return arms
+
+    def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]]:
+        """Return the tool, the elbows and the shoulders."""
+        radius, height, elbows, shoulders = parameters["r"], parameters["h"], [], []
+        for k, turned in enumerate(self._turn_arms(parameters, v)):
+            angle, upper = parameters["angle"][..., k], parameters["L"][..., k]
+            out = radius + upper * np.cos(turned)
+            elbows.append([out * np.cos(angle), out * np.sin(angle), height + upper * np.sin(turned)])
+            shoulders.append([radius * np.cos(angle), radius * np.sin(angle), height])
+        return stack_points([[v[..., 0], v[..., 1], v[..., 2]], *elbows, *shoulders]), ARMS

@@ -54,7 +54,11 @@ def test_coordinates_that_are_no_parameters_count_as_zero():
 
 
 @pytest.mark.parametrize(
-    "name", ["hexaglide/mechanism", "hangprinter/machine", "sliding_star/machine", "mmt_mount/machine"]
+    "name",
+    [
+        *("hexaglide/mechanism", "hangprinter/machine", "sliding_star/machine", "mmt_mount/machine"),
+        *("flsun_v400/machine", *(f"../examples/machines/{one}" for one in ("five_bar", "rotary_delta", "scara"))),
+    ],
 )
 def test_a_machine_is_shown(name, tmp_path, call):
     out = tmp_path / "new" / "machine.html"

@@ -236,3 +236,29 @@ def test_an_arm_is_drawn_from_its_base_to_its_tip(rng):
     points, pairs = model.machine.outline(Parameters(model.layout, theta), model.home_pose)
     np.testing.assert_allclose(points[-1], model.tool_values(theta, model.home_pose)[:3], atol=1e-9)
     assert pairs == [(k, k + 1) for k in range(len(points) - 1)]
+
+
+SCARA = EXPERIMENTS.parent / "examples" / "machines" / "scara.toml"
+LINKS_AND_TILTS = ("x[2]", "x[4]", "offset[2]", *(f"{turn}[{k}]" for k in (2, 3, 4) for turn in ("rx", "ry")))
+
+
+def test_what_a_tracker_determines_of_a_scara(rng):
+    """The parameters that its documentation names, and not one more beside the tracker's frame."""
+    model = read_reading_model(SCARA)
+    theta, names = model.layout.nominal, model.layout.names
+    pose = model.home_pose + model.pose_scale * rng.uniform(-1.0, 1.0, (100, 4))
+    tool, by_pose, by_parameters = model.tool(theta, pose)
+    here = model.linearise(theta, pose)
+    moved = (by_parameters - by_pose @ np.linalg.solve(here.by_pose, here.by_parameters))[:, :3]
+    frame = np.concatenate(
+        [np.broadcast_to(np.eye(3), (100, 3, 3)), np.cross(np.eye(3), tool[:, None, :3]).swapaxes(1, 2)], -1
+    )
+
+    def count(free):
+        rows = np.concatenate([moved[..., [names.index(one) for one in free]], frame], axis=-1).reshape(300, -1)
+        return np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=0).clip(1e-12), tol=1e-6)
+
+    free = [*LINKS_AND_TILTS, "tool[1]", "tool[2]"]
+    assert count(free) == len(free) + 6 == 17
+    drawn = ("x", "y", "z", "rx", "ry", "offset", "tool", "tool_r")
+    assert count([one for one in names if one.partition("[")[0] in drawn]) == 17

@@ -1,13 +1,16 @@
-"""A linear delta: carriages against trilateration, what is refused, a measured printer against its firmware's fit."""
+"""Deltas and a five-bar: arms against trilateration, what is refused, a measured printer against its firmware's fit."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import pandas as pd
 import pytest
 import studies
-from deltas import build_delta, build_rotary_delta, trilaterate
+from deltas import build_delta, build_five_bar, build_rotary_delta, trilaterate
 
+from bayescal.machines.readings import FunctionModel, Parameters
 from bayescal.machines.readings.delta import DeltaMachine, DeltaMachineConfig
 
 FLSUN = studies.EXPERIMENTS / "flsun_v400"
@@ -36,6 +39,40 @@ def test_elbows_lead_back_to_the_tool(rng):
         elbows = np.stack([out * np.cos(known["angle"]), out * np.sin(known["angle"]), up], axis=-1)
         np.testing.assert_allclose(trilaterate(elbows, known["l"]), point, atol=1e-9)
         assert read[3] == point[2]
+
+
+@pytest.mark.parametrize("elbows", list(product(("left", "right"), repeat=2)))
+def test_cranks_lead_back_to_the_tool(rng, elbows):
+    machine = build_five_bar(elbows=list(elbows))
+    model = FunctionModel("five_bar", machine)
+    theta = model.layout.nominal
+    known = {one.symbol: np.array(one.nominal) for one in machine.parameters}
+    point = rng.uniform([-80.0, 190.0], [80.0, 310.0], (20, 2))
+    read = model.read(theta, point)
+    turned = read + known["o"]
+    elbow = np.stack([known["x"] + known["L"] * np.cos(turned), known["y"] + known["L"] * np.sin(turned)], axis=-1)
+    way = point[:, None] - elbow
+    np.testing.assert_allclose(np.linalg.norm(way, axis=-1), np.broadcast_to(known["l"], read.shape), rtol=1e-12)
+    motors = np.stack([known["x"], known["y"]], axis=-1)
+    side = np.linalg.det(
+        np.stack(np.broadcast_arrays(point[:, None] - motors, elbow - motors), axis=-1).swapaxes(-1, -2)
+    )
+    assert (np.sign(side) == [1.0 if one == "left" else -1.0 for one in elbows]).all()
+    there, found = model.locate(theta, read)
+    assert found.all()
+    np.testing.assert_allclose(there, point, atol=1e-9)
+
+
+@pytest.mark.parametrize("build", [build_delta, build_rotary_delta, build_five_bar])
+def test_outlines_have_the_lengths_of_the_arms(build, rng):
+    machine = build()
+    model = FunctionModel("drawn", machine)
+    pose = model.home_pose + 0.5 * model.pose_scale * rng.uniform(-1.0, 1.0, (5, len(model.home_pose)))
+    points, lines = machine.outline(Parameters(model.layout, model.layout.nominal), pose)
+    lengths = [np.linalg.norm(points[:, one] - points[:, other], axis=-1) for one, other in lines]
+    arms = model.layout.take(model.layout.nominal, "l")
+    for length, arm in zip(lengths, arms, strict=False):
+        np.testing.assert_allclose(length, arm, rtol=1e-9)
 
 
 def test_an_arm_within_its_radius_is_refused():

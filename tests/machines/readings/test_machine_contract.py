@@ -84,9 +84,9 @@ def test_some_channels_read_what_they_read_among_all(model, rng):
     """Once, and picked again; their parameters stay those of the machine."""
     theta, pose, given = machine_registry.draw(model, rng)
     whole, n = model.linearise(theta, pose, True, given), len(model.channels)
-    for some in (list(range(0, n, 2)), [n // 2, n - 1], list(range(max(2, n // 2)))):
+    for some in (list(range(0, n, 2)), sorted({n // 2, n - 1}), list(range(max(2, n // 2)))):
         once = model.pick(np.array(some))
-        for few, places in ((once, some), (once.pick(np.array([1])), some[1:2])):
+        for few, places in ((once, some), (once.pick(np.array([-1])), some[-1:])):
             assert few.names == tuple(model.names[k] for k in places)
             assert few.layout.names == model.layout.names
             found = few.linearise(theta, pose, True, given)
