@@ -124,6 +124,8 @@ class MeasuredMachine:
             raise InputError("poses: found one that the machine cannot reach, expected reachable poses")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
+        if planned.read is not None:
+            values = np.where(planned.read, values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.plain(), planned.pose, self.workspace)
         moved = posterior.errors.change(GPTerm, lambda one: _move(one, model, variant.data, planned.pose))

@@ -107,6 +107,39 @@ def locate_pose(
     return pose.reshape(*shape, q), found.reshape(shape)
 
 
+def share_contacts(model: ReadingModel, n: int) -> np.ndarray:
+    """Return which channels are read in each of n rows, bool (n, K): of instruments that touch one in each, in turn."""
+    read = np.ones((n, len(model.channels)), dtype=bool)
+    for k, name in enumerate(model.contacts):
+        read[np.ix_(np.arange(n) % len(model.contacts) != k, model.instrument_places[name])] = False
+    return read
+
+
+def touch(
+    model: ReadingModel, theta: Array, start: Array, read: np.ndarray, error: Array, given: Given
+) -> tuple[Array, np.ndarray]:
+    """Return poses (P, q) near a start at which instruments touch, and which were found.
+
+    Parameters
+    ----------
+    theta, start : ndarray, shapes (D,) and (P, q)
+    read : ndarray of bool, shape (P, K)
+        Which channels are read in each row.
+    error : ndarray, shape (P, K)
+        Errors of the readings: a channel of an instrument that touches is to read zero with them.
+    """
+    places = np.concatenate([model.instrument_places[name] for name in model.contacts])
+    there = read[:, places]
+
+    def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+        here = model.linearise(theta, pose, False, {name: value[rows] for name, value in given.items()})
+        left = np.where(there[rows], -error[rows][:, places] - here.values[:, places], 0.0)
+        return left, here.by_pose[:, places] * there[rows][..., None]
+
+    first, _ = miss(start, np.arange(len(start)))
+    return solve(miss, first, start, model.pose_scale, follow=True)
+
+
 def _flatten(values: Array, shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(values, (*shape, values.shape[-1])).reshape(math.prod(shape), values.shape[-1])
 

@@ -51,6 +51,17 @@ def test_readings_are_those_of_the_tool(placed, rng):
         np.testing.assert_allclose(seen, look(name), rtol=0, atol=1e-9)
     distance = np.linalg.norm(target("bar") - at["bar_anchor"], axis=1) - at["bar_zero"][:, 0]
     np.testing.assert_allclose(found["bar"], distance, rtol=0, atol=1e-9)
+    tilted = Rotation.from_rotvec(at["bed_tilt"] @ placed.instruments[3].machine.across)
+    height = (tilted.apply(placed.instruments[3].machine.normal) * target("bed")).sum(axis=1) - at["bed_offset"][:, 0]
+    np.testing.assert_allclose(found["bed"], height, rtol=0, atol=1e-9)
+    if "eye[x]" in found:  # the board's frame through the camera's, on the tool
+        board, eye = (Rotation.from_rotvec(at[f"eye_{one}_r"]) for one in ("frame", "target"))
+        seen = (tool * eye).inv().apply(at["eye_frame"] - target("eye")) / (1.0 + at["eye_scale"])
+        np.testing.assert_allclose(
+            np.stack([found[f"eye[{axis}]"] for axis in "xyz"], axis=-1), seen, rtol=0, atol=1e-9
+        )
+        turned = Rotation.from_rotvec(np.stack([found[f"eye_r[{axis}]"] for axis in "xyz"], axis=-1))
+        assert (turned * ((tool * eye).inv() * board).inv()).magnitude().max() < 1e-12
     if "camera[x]" in found:
         seen = np.stack([found[f"camera_r[{axis}]"] for axis in "xyz"], axis=-1)
         frame, target_r = (Rotation.from_rotvec(at[f"camera_{one}_r"]) for one in ("frame", "target"))
