@@ -147,23 +147,32 @@ def fit_plane(points: Array) -> list[Array]:
 
 
 def fit_plane_and_tip(position: Array, rotation: Array) -> list[Array]:
-    """Return the unit normal, either side, offset and tip on the tool (7,) of a plane that tools' tips touch.
+    """Return unit normals, either side, offset and tip on the tool (7,) of a plane that tools' tips touch.
 
-    Tools are at (P, 3), turned by (P, 3, 3). None where they turn too little to tell the tip.
+    Tools are at (P, 3), turned by (P, 3, 3). One is that of tools which turn little, ω about the mean, where
+    n·R t = n·t + (t × n)·ω tells the tip across the normal; the other of any turns, where they tell all of it.
     """
     there = np.isfinite(position).all(axis=1)
     position, rotation = position[there], rotation[there]
-    if len(position) < 12:
+    if len(position) < 7:
         return []
-    size = np.abs(position).max()
-    _, values, right = np.linalg.svd(
-        np.hstack([position / size, rotation.reshape(-1, 9), -np.ones((len(position), 1))]), full_matrices=False
-    )
-    if len(values) < 13 or values[-2] < RANK * values[0]:
-        return []
-    normal, products, offset = right[-1, :3] / size, right[-1, 3:12].reshape(3, 3), right[-1, 12]
-    long = float(np.linalg.norm(normal))
-    return [np.array([*normal / long, offset / long, *normal @ products / long**2])] if long > 0.0 else []
+    middle, size = position.mean(axis=0), np.ptp(position, axis=0).max()
+    mean = _orthogonalise(rotation.sum(axis=0))
+    own, one, found = (position - middle) / size, np.ones((len(position), 1)), list[Array]()
+    for turned in (rotation_vector_from_matrix(rotation @ mean.T), rotation.reshape(-1, 9)):
+        rows = np.hstack([own, turned, one])
+        _, values, right = np.linalg.svd(rows, full_matrices=False)
+        long = float(np.linalg.norm(right[-1, :3])) / size
+        if len(values) < rows.shape[1] or values[-2] < RANK * values[0] or long == 0.0:
+            continue
+        normal, products, rest = right[-1, :3] / size / long, right[-1, 3:-1] / long, right[-1, -1] / long
+        if len(products) == 3:
+            tip = mean.T @ np.cross(normal, products)
+            rest -= normal @ mean @ tip
+        else:
+            tip = normal @ products.reshape(3, 3)
+        found.append(np.array([*normal, normal @ middle - rest, *tip]))
+    return found
 
 
 def fit_anchor(points: Array, distance: Array, with_zero: bool) -> list[Array]:

@@ -8,7 +8,7 @@ A step into a place where g has no value is halved.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +30,9 @@ type Function = Callable[[Array, np.ndarray], tuple[Array, Array]]
 """From poses (n, q) of some rows (n,) to what is still wanted of g, y - g (n, m), and its slopes ∂g/∂v (n, m, q)."""
 
 
-def solve(miss: Function, first: Array, start: Array, scale: Array, follow: bool) -> tuple[Array, np.ndarray]:
+def solve(
+    miss: Function, first: Array, start: Array, scale: Array, follow: bool, ways: Sequence[int] = WAYS
+) -> tuple[Array, np.ndarray]:
     """Return v (P, q) with g(v) = y in the sense of least squares, and which rows have arrived.
 
     Parameters
@@ -43,9 +45,11 @@ def solve(miss: Function, first: Array, start: Array, scale: Array, follow: bool
         Of the coordinates.
     follow : bool
         Whether the way from the start is followed, to goals y - (1 - t) (y - g(start)); otherwise the start is near.
+    ways : sequence of int
+        Steps of the way, tried in turn.
     """
     v, found = start.copy(), np.zeros(len(start), dtype=bool)
-    for n_steps in WAYS if follow else (1,):
+    for n_steps in ways if follow else (1,):
         rows = np.flatnonzero(~found)
         if not len(rows):
             break
@@ -137,7 +141,7 @@ def touch(
         return left, here.by_pose[:, places] * there[rows][..., None]
 
     first, _ = miss(start, np.arange(len(start)))
-    return solve(miss, first, start, model.pose_scale, follow=True)
+    return solve(miss, first, start, model.pose_scale, True, WAYS[:1])  # what fails begins elsewhere
 
 
 def _flatten(values: Array, shape: tuple[int, ...]) -> Array:

@@ -12,13 +12,12 @@ lies nobody has to know: it is found with the machine. The radius of a ball is p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from bayescal.config.sections import Number, Section, Vector
-from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.closed_forms import fit_plane, fit_plane_and_tip
@@ -27,14 +26,19 @@ from bayescal.machines.readings.placed import UNSTATED, Instrument, find_target,
 from bayescal.numerics.analytic import rotation_matrix
 from bayescal.numerics.geometry import Array
 
-UP: Final = [0.0, 0.0, 1.0]
 TINY = 1e-12
+
+
+def _check_direction(vector: list[float]) -> list[float]:
+    if not any(vector):
+        raise ValueError("normal: found no direction, expected one")
+    return vector
 
 
 class PlaneConfig(Section):
     """A plane that a probe on the tool touches."""
 
-    normal: Vector = Field(default=UP)
+    normal: Annotated[Vector, AfterValidator(_check_direction)] = Field(default=[0.0, 0.0, 1.0])
     """Which way the plane faces, roughly, base frame [1]."""
     tilt_deg: Annotated[list[Number], Field(min_length=2, max_length=2)] | None = None
     """Rotation vector across `normal` that turns it to the plane's; about x and y where it is up. A study finds it
@@ -55,12 +59,9 @@ class PlaneInstrument(Instrument):
     touches = True
 
     def __init__(self, config: PlaneConfig) -> None:
-        """Lay out the plane and the tip; InputError for a normal without length."""
+        """Lay out the plane and the tip."""
         super().__init__(config)
-        normal = np.array(config.normal)
-        if not normal.any():
-            raise InputError("normal: found no direction, expected one")
-        self.normal = normal / np.linalg.norm(normal)
+        self.normal = np.array(config.normal) / np.linalg.norm(config.normal)
         first = np.eye(3)[np.abs(self.normal).argmin()]  # x where it is up
         first = first - (first @ self.normal) * self.normal
         first = first / np.linalg.norm(first)

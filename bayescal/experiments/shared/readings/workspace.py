@@ -28,6 +28,7 @@ N_WORKSPACE = 200
 """How many poses stand for a workspace where a config does not say it."""
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100
+ROUNDS, EACH = 5, 40  # of starts for poses that touch, in each so many for a pose
 EDGE = 1e-9  # of the half widths, by which poses may lie beyond the workspace: by rounding
 LARGEST_GRID = 81  # starts; beyond, they are drawn
 STRAIGHT = 1e-9  # of a slope, by which it may be another elsewhere
@@ -201,17 +202,20 @@ def lead_to_contact(
     ``error`` (P, K) are errors of the readings. InputError where few poses touch.
     """
     read, pose, slack = share_contacts(model, len(pose)), pose.copy(), EDGE * workspace.half
-    rows = np.arange(len(pose))
-    for _ in range(MOST_TRIES):
-        some = {name: value[rows] for name, value in given.items()}
+    rows = from_rows = np.arange(len(pose))
+    start = pose
+    for _ in range(ROUNDS):
+        some = {name: value[from_rows] for name, value in given.items()}
         with np.errstate(all="ignore"):
-            led, found = touch(model, theta, pose[rows], read[rows], error[rows], some)
+            led, found = touch(model, theta, start, read[from_rows], error[from_rows], some)
             found &= ((led >= workspace.low - slack) & (led <= workspace.high + slack)).all(axis=1)
             found &= np.isfinite(model.read(theta, led, some)).all(axis=1)
-        pose[rows[found]] = led[found]
-        if not len(rows := rows[~found]):
+        there, first = np.unique(from_rows[found], return_index=True)
+        pose[there] = led[found][first]
+        if not len(rows := np.setdiff1d(rows, there)):
             return pose, read
-        pose[rows] = workspace.draw(len(rows), rng)
+        from_rows = np.repeat(rows, EACH)
+        start = workspace.draw(len(from_rows), rng)
     name = model.contacts[rows[0] % len(model.contacts)]
     raise InputError(f"instruments.{name}: found few poses of the workspace that touch it, expected it within reach")
 
