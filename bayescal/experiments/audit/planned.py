@@ -428,6 +428,7 @@ class DesignVariant:
                 raise InputError("tolerances: found machines that miss planned poses, expected smaller ones")
         white, _ = posterior.likelihood.explain(*posterior.at(self.expected[None]))
         noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
+        values[:, ~data.present] = np.nan
         return y, Comparison(model.channels).add(values, noise), redrawn
 
     def _count_kept(self, y: Array, errors: Array, rng: np.random.Generator) -> np.ndarray:

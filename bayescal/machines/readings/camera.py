@@ -81,4 +81,6 @@ class CameraInstrument(PoseInstrument):
 
     def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
         """Return whether positions of the board fit a left-handed camera alone; see `Instrument.find_mirrored`."""
-        return is_mirrored(position, rotation, seen[:, :3], self.on_tool)
+        if self.on_tool:
+            return is_mirrored(position, rotation, seen[:, :3], self.on_tool)
+        return super().find_mirrored(seen, position, rotation)

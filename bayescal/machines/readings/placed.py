@@ -43,6 +43,7 @@ from bayescal.machines.readings.closed_forms import (
     fit_places,
     fit_point_frame,
     fit_turned_frame,
+    is_mirrored,
     list_turns,
     vector_of,
 )
@@ -215,8 +216,7 @@ class PointInstrument(Instrument):
 
     def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
         """Return whether positions fit a left-handed frame alone; see `Instrument.find_mirrored`."""
-        del rotation
-        return fit_point_frame(position, seen[:, :3])[1]
+        return fit_point_frame(position, seen[:, :3])[1] or is_mirrored(position, rotation, seen[:, :3], False)
 
 
 class PoseInstrument(PointInstrument):

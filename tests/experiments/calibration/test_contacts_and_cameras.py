@@ -11,11 +11,12 @@ import pandas as pd
 import pytest
 import studies
 
-from bayescal.experiments.audit.design import load_audit, read_plans
+from bayescal.experiments.audit.design import draw_plan, load_audit, read_design, read_plans
 from bayescal.experiments.audit.planned import PlannedPoses
 from bayescal.experiments.audit.proposal import propose
-from bayescal.experiments.audit.schema import ScenarioConfig
+from bayescal.experiments.audit.schema import PlannedPosesConfig, ScenarioConfig
 from bayescal.experiments.runner.load import load, load_experiment
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.simulation.compute import read_model
 from bayescal.identifiability.reading_rows import see
@@ -211,7 +212,7 @@ def planned(touching):
     return path
 
 
-def test_an_audit_takes_each_row_of_who_reads_there(planned):
+def test_an_audit_takes_each_row_of_who_reads_there(planned, rng):
     (plan,) = read_plans(load_audit(planned), planned.parent).values()
     data, model = plan.variant.data, plan.variant.model
     there = np.stack([data.present[:, model.select([one])].all(axis=1) for one in ("ball", "bowl", "bed")], axis=1)
@@ -231,6 +232,9 @@ def test_an_audit_takes_each_row_of_who_reads_there(planned):
     ]
     whole, *some = (see(one.posterior, one.expected).reshape(-1, len(plan.names)) for one in (plan, *parts))
     np.testing.assert_allclose(whole.T @ whole, sum(one.T @ one for one in some), rtol=1e-9, atol=1e-6)
+    simulated, _ = plan.simulate(4, rng, range(len(plan.names)))  # by no reading that is not planned
+    claimed = np.sqrt(np.diagonal(plan.inform().covariance))
+    np.testing.assert_allclose(simulated.claimed.mean(axis=0), claimed, rtol=0.1)
 
 
 def test_poses_that_are_drawn_touch_in_turn(planned):
@@ -241,6 +245,17 @@ def test_poses_that_are_drawn_touch_in_turn(planned):
     touched = data.values[:, len(model.whole.channels) :]
     assert np.nanmax(np.abs(touched)) < 1e-6
     assert plan.change(ScenarioConfig(name="twice", poses_factor=2.0)).n_poses == 60
+
+
+def test_a_measured_machine_touches_where_it_is_planned_to(tmp_path):
+    path = write(tmp_path, "bed of a delta")
+    audit = tmp_path / "audit.toml"
+    audit.write_text(
+        'kind = "audit"\nname = "a"\ntitle = "a"\nseed = 1\ndata = { study = "study.toml" }\nposterior = { draws = 0 }\n'
+    )
+    plan, _ = draw_plan(read_design(load_audit(audit), path.parent), Run())
+    again = plan.replan(plan.maker.plan(PlannedPosesConfig(count=9)))
+    assert np.abs(again.variant.data.values[:, -1]).max() < 1e-6  # of the machine as it was found
 
 
 PLANS = {
@@ -267,6 +282,12 @@ def test_poses_are_not_chosen_where_instruments_touch(planned, refuse):
     planned.write_text(planned.read_text() + "[selection]\ncount = 5\n")
     said = "selection: found instruments that read at some poses alone, expected all at each"
     refuse(said, planned.parent / "out", "run", planned, "--quiet")
+
+
+def test_what_to_measure_next_is_not_asked_of_contacts(tmp_path, refuse):
+    path = write(tmp_path, "bed of a delta")
+    said = "found bed to touch, expected instruments that read at any pose"
+    refuse(said, tmp_path / "out", "next-pose", path, "--require", "x=0.1")
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
