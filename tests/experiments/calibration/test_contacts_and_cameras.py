@@ -251,7 +251,8 @@ def test_a_measured_machine_touches_where_it_is_planned_to(tmp_path):
     path = write(tmp_path, "bed of a delta")
     audit = tmp_path / "audit.toml"
     audit.write_text(
-        'kind = "audit"\nname = "a"\ntitle = "a"\nseed = 1\ndata = { study = "study.toml" }\nposterior = { draws = 0 }\n'
+        'kind = "audit"\nname = "a"\ntitle = "a"\nseed = 1\n'
+        'data = { study = "study.toml" }\nposterior = { draws = 0 }\n'
     )
     plan, _ = draw_plan(read_design(load_audit(audit), path.parent), Run())
     again = plan.replan(plan.maker.plan(PlannedPosesConfig(count=9)))
