@@ -291,6 +291,21 @@ def test_what_to_measure_next_is_not_asked_of_contacts(tmp_path, refuse):
     refuse(said, tmp_path / "out", "next-pose", path, "--require", "x=0.1")
 
 
+@pytest.mark.runs
+def test_a_calibration_by_touch_is_verified_where_tools_touch(tmp_path, call):
+    path = write(tmp_path, "bed of a delta")
+    out = tmp_path / "out"
+    code, _, err = call("run", path, "--out", out, "--workers", 1, "--quiet", "--trust-code")
+    assert code == 0, err
+    code, _, err = call("verify", out, "--trust-code")
+    assert code == 2
+    assert "found bed to touch, expected --candidates COMMANDS.csv that touch, or --sensors of others" in err
+    (tmp_path / "data" / "readings.csv").rename(tmp_path / "all.csv")
+    pd.read_csv(tmp_path / "all.csv", comment="#").filter(regex="^(pose|s_)").to_csv(tmp_path / "c.csv", index=False)
+    code, said, err = call("verify", out, "--trust-code", "--candidates", tmp_path / "c.csv", "--power", 0.5)
+    assert (code, "use" in said) == (0, True), err
+
+
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 
