@@ -58,12 +58,12 @@ class CameraInstrument(PoseInstrument):
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Return the board's pose in the camera's frame."""
         seen = super().see(parameters, position, rotation)
-        place, vector = self._seen_back(seen) if self.on_tool else (seen[..., :3], seen[..., 3:])
+        place, vector = self._invert(seen) if self.on_tool else (seen[..., :3], seen[..., 3:])
         parts = np.broadcast_arrays(place / (1.0 + parameters["scale"][..., None]), vector)
         return np.concatenate(parts, axis=-1)
 
     @staticmethod
-    def _seen_back(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _invert(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return position and rotation vector of inverse poses (..., 6)."""
         return turn(np.swapaxes(rotation_matrix(seen[..., 3:]), -1, -2), -seen[..., :3]), -seen[..., 3:]
 
@@ -76,7 +76,7 @@ class CameraInstrument(PoseInstrument):
             raise InputError(f"found {whole} rows with position and rotation of the board, expected {LEAST_ROWS}")
         poses = np.concatenate([seen[:, :3] * (1.0 + stated["scale"]), seen[:, 3:]], axis=1)
         if self.on_tool:
-            poses = np.concatenate(self._seen_back(poses), axis=1)
+            poses = np.concatenate(self._invert(poses), axis=1)
         return super().propose(stated, poses, position, rotation)
 
     def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:

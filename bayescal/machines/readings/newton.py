@@ -23,6 +23,7 @@ WAYS = (4, 32)
 ON_THE_WAY = 3  # Newton steps at each of them
 MOST = 40  # Newton steps at its end
 HALVINGS = 6
+TOUCHING = 1e-6  # mm, within which a reading of a contact is zero
 ARRIVED = 1e-11  # of a coordinate's scale, below which a step has arrived
 
 
@@ -141,7 +142,9 @@ def touch(
         return left, here.by_pose[:, places] * there[rows][..., None]
 
     first, _ = miss(start, np.arange(len(start)))
-    return solve(miss, first, start, model.pose_scale, True, WAYS[:1])  # what fails begins elsewhere
+    pose, found = solve(miss, first, start, model.pose_scale, True, WAYS[:1])  # what fails begins elsewhere
+    left, _ = miss(pose, np.arange(len(pose)))
+    return pose, found & (np.abs(left) < TOUCHING).all(axis=1)
 
 
 def _flatten(values: Array, shape: tuple[int, ...]) -> Array:

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, FunctionModel, Instrument, ReadingMachine, place
+from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.machines.readings.placed import PointConfig, PointInstrument
+from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 
 SEEN = {**machine_registry.LEVEL, **machine_registry.TURNING}
 
@@ -164,3 +166,27 @@ def test_an_instrument_s_name_stands_for_its_channels():
     assert list(found.pick(found.select(["level_roll"])).select(["level"])) == [0]
     with pytest.raises(InputError, match="tilt"):
         found.select(["tilt"])
+
+
+@pytest.mark.parametrize(("where", "touches"), [([500.0, 100.0, 300.0], True), ([1500.0, 0.0, 900.0], False)])
+def test_a_tool_touches_what_is_within_its_reach(where, touches, rng):
+    model = place(FunctionModel("arm", own_arm.Arm(None)), {"ball": SocketInstrument(SocketConfig(place_mm=where))})
+    theta, start = model.layout.nominal, model.home_pose + 0.3 * rng.uniform(-1.0, 1.0, (30, 3))
+    read = share_contacts(model, 30)
+    error = 0.5 * rng.standard_normal(read.shape)
+    pose, found = touch(model, theta, start, read, error, {})
+    assert found.any() == touches
+    places = model.instrument_places["ball"]
+    np.testing.assert_allclose((model.read(theta, pose[found]) + error[found])[:, places], 0.0, atol=1e-6)
+
+
+def test_a_tool_of_a_plane_touches_nothing_beside_it(rng):
+    """Where it comes nearest is no contact."""
+    machine = machine_registry.MACHINES["lines in a plane"]()
+    x, y = (*machine.tool_values(machine.layout.nominal, machine.home_pose), 0.0)[:2]
+    for z, touches in ((0.0, True), (5.0, False)):
+        model = place(machine, {"ball": SocketInstrument(SocketConfig(place_mm=[x + 30.0, y - 20.0, z]))})
+        start = model.home_pose + rng.uniform(-50.0, 50.0, (5, 2))
+        read = share_contacts(model, 5)
+        found = touch(model, model.layout.nominal, start, read, np.zeros(read.shape), {})[1]
+        assert (found == touches).all()
