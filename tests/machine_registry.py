@@ -17,6 +17,7 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingModel
+from bayescal.machines.readings.camera import CameraConfig, CameraInstrument
 from bayescal.machines.readings.line_machine import LineMachine, LineMachineConfig
 from bayescal.machines.readings.mount import Mount, MountConfig
 from bayescal.machines.readings.placed import (
@@ -28,6 +29,7 @@ from bayescal.machines.readings.placed import (
     PoseInstrument,
 )
 from bayescal.machines.readings.places import TwoPlaces
+from bayescal.machines.readings.planes import PlaneConfig, PlaneInstrument
 from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 
@@ -124,9 +126,11 @@ def build_instruments(turned: bool) -> dict:
         "station": PointInstrument(PointConfig(**FRAME, **target)),
         "bar": DistanceInstrument(DistanceConfig(anchor_mm=[500.0, 600.0, -100.0], zero_mm=3.0, **target)),
         "socket": SocketInstrument(SocketConfig(place_mm=[300.0, -200.0, 100.0], **target)),
+        "bed": PlaneInstrument(PlaneConfig(normal=[0.2, -0.1, 1.0], tilt_deg=[20.0, -70.0], offset_mm=40.0, **target)),
     }
     pose = PoseConfig(**FRAME, target_mm=TURNED, target_deg=[5.0, 6.0, 170.0])
-    return found | ({"camera": PoseInstrument(pose)} if turned else {})
+    eye = CameraConfig(mounted="tool", **FRAME, target_mm=TURNED, target_deg=[5.0, 6.0, 170.0])
+    return found | ({"camera": PoseInstrument(pose), "eye": CameraInstrument(eye)} if turned else {})
 
 
 def sizes_of(model: ReadingModel) -> np.ndarray:

@@ -314,6 +314,11 @@ def verify(
                 f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with "
                 f"column {one.stem}_sd_{one.unit}"
             )
+        model = calibrated.model
+        touching = [one for one in model.contacts if np.isfinite(sd[model.instrument_places[one]]).any()]
+        if touching and candidates is None:
+            expected = "--candidates COMMANDS.csv that touch, or --sensors of others"
+            raise InputError(f"{results}: found {', '.join(touching)} to touch, expected {expected}")
         planned = expect_readings(sd)
     commands, given = (
         list_candidates(calibrated, range_fraction) if candidates is None else read_commands(candidates, calibrated)[1:]

@@ -1,8 +1,9 @@
 """An arm in a URDF file: the project is an audit of what a ball in a socket, or a tracker, would tell of it.
 
 A URDF file holds a machine and no readings. With ``instrument = socket``, which holds where nothing is said, a ball at
-the tip sits in a socket, at configurations that lead it there within the joints' limits; with ``tracker`` the tip is
-seen at configurations all over these. A xacro file is expanded first; options that are none of these are its arguments.
+the tip sits in a socket, at configurations that lead it there within the joints' limits, or with ``sockets = 2`` in
+either of two whose distance is known, which gives the arm its scale; with ``tracker`` the tip is seen at configurations
+all over these. A xacro file is expanded first; options that are none of these are its arguments.
 """
 
 from __future__ import annotations
@@ -21,17 +22,20 @@ from bayescal.files.toml import write_toml
 from bayescal.importers import Project
 from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm, read_urdf
+from bayescal.machines.readings import place
 from bayescal.machines.readings.arm import Arm, ArmConfig
 from bayescal.machines.readings.function import FunctionModel
+from bayescal.machines.readings.newton import share_contacts, touch
+from bayescal.machines.readings.placed import READ_BY
+from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 from bayescal.numerics.geometry import Array
 
 SOCKET, TRACKER = "socket", "tracker"
-OPTIONS: Final = ("base", "tip", "instrument")
-N_POSES, TRIES, STEPS = 40, 2000, 60
-NEAR_MM = 1e-4
+OPTIONS: Final = ("base", "tip", "instrument", "sockets")
+N_POSES, TRIES = 40, 2000
 SAME = 3  # digits of rad or mm, to which configurations are the same
 INNER = 0.95  # of the joints' ranges
-DAMPING, LONGEST_STEP = 10.0, 0.3  # mm²; rad or mm
+APART = 0.4  # of how far out sockets stand, by which two are apart
 AUDIT = """# What would {by} tell of the arm's joints and links?
 kind = "audit"
 name = "{name}_{instrument}"
@@ -41,7 +45,7 @@ machine = "machine.toml"
 poses = {{ file = "configurations.csv" }}
 model_error = {{ terms = [] }}
 variants = [                             # the first joint's frame is the base's
-  {{ name = "links", title = "Links and zeros of the joints", fixed = [{fixed}] }},
+  {{ name = "links", title = "Links and zeros of the joints", fixed = [{fixed}]{tied} }},
 ]
 
 {instruments}
@@ -61,7 +65,7 @@ offset = {{ prior = "normal", sd = 0.5 }}
 
 
 REPEATS = "# how well the joints repeat"
-NOWHERE = "[instruments]                            # nobody has to know where it stands\n"
+NOWHERE = "[instruments]                            # nobody has to know where {} stand{}\n"
 
 
 def recognise(name: str, text: str) -> bool:
@@ -82,23 +86,30 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     instrument = options.get("instrument", SOCKET)
     if instrument not in (SOCKET, TRACKER):
         raise InputError(f"--option instrument: found {instrument!r}, expected {SOCKET} or {TRACKER}")
+    n_sockets = options.get("sockets", "1")
+    if n_sockets not in ("1", "2") or ("sockets" in options and instrument != SOCKET):
+        raise InputError(f"--option sockets: found {n_sockets!r} with {instrument}, expected 1 or 2 with {SOCKET}")
     chain = read_urdf(path, options.get("base", ""), options.get("tip", ""))
     section = {key: options[key] for key in ("base", "tip") if key in options}
     config = ArmConfig.model_validate({"urdf": path.name, **section}, context={FOLDER: path.parent})
     name = name_arm(path)
     model, file = FunctionModel(name, Arm(config)), f"{name}.urdf"
     n, names = len(chain.joints), ", ".join(one.name for one in chain.joints)
-    place = _choose_place(model)
-    rows = _seat(model, place) if instrument == SOCKET else _spread(model, N_POSES)
+    places, columns = _choose_places(model, int(n_sockets)), [f"{one.name}_{one.unit}" for one in model.coordinates]
+    if instrument == TRACKER:
+        cells = [[f"{x:.6f}" for x in row] for row in _spread(model, N_POSES)]
+    else:
+        rows, seated = _seat(model, places)
+        cells = [[*(f"{x:.6f}" for x in row), socket] for row, socket in zip(rows, seated, strict=True)]
+        columns.append(READ_BY)
     content = {"kind": "arm", "name": name, "title": name, "machine": {"urdf": file, **section}}
-    columns = ["pose", *(f"{one.name}_{one.unit}" for one in model.coordinates)]
     said = ["Configurations of the arm to measure at, drawn at random within its joints' limits."]
-    cells = [[f"P{k:03d}", *(f"{x:.6f}" for x in row)] for k, row in enumerate(rows, start=1)]
+    cells = [[f"P{k:03d}", *row] for k, row in enumerate(cells, start=1)]
     files = {
         file: path.read_bytes(),
         "machine.toml": write_toml(content).encode(),
-        "configurations.csv": format_table(said, columns, cells).encode(),
-        "audit.toml": _write_audit(name, instrument, [one.slides for one in chain.joints], place).encode(),
+        "configurations.csv": format_table(said, ["pose", *columns], cells).encode(),
+        "audit.toml": _write_audit(name, instrument, [one.slides for one in chain.joints], places).encode(),
     }
     found = (
         f"{n} joints from base to tip: {names}",
@@ -107,10 +118,10 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     return Project(files, found, "bayescal audit audit.toml")
 
 
-def _write_audit(name: str, instrument: str, slides: Sequence[bool], place: Array) -> str:
+def _write_audit(name: str, instrument: str, slides: Sequence[bool], places: Mapping[str, Array]) -> str:
     n, known = len(slides), [f"{symbol}[1]" for symbol in ("x", "y", "rx", "ry", "offset")]
     known.append(f"offset[{n}]")
-    repeats, zeros = f"joint = {{ noise_deg = 0.02 }}             {REPEATS}\n", ""
+    tied, repeats, zeros = "", f"joint = {{ noise_deg = 0.02 }}             {REPEATS}\n", ""
     if any(slides):  # whose zero is z, and whose axis is a direction without a place
         slide = dict(enumerate(slides, start=1))
         known += [f"{one}[{k}]" for k in slide if slide[k] for one in "xy"]
@@ -126,11 +137,21 @@ def _write_audit(name: str, instrument: str, slides: Sequence[bool], place: Arra
         wide = 'tracker_frame = { prior = "normal", sd = 1000.0 }\ntracker_frame_r = { prior = "normal", sd = 30.0 }\n'
         noise, by = "tracker = { noise_mm = 0.02 }\n", "a tracker"
     else:
-        where = ", ".join(f"{x:.1f}" for x in place)
-        section = f'{NOWHERE}socket = {{ kind = "socket", place_mm = [{where}] }}\n'
-        wide, noise = 'socket_place = { prior = "normal", sd = 100.0 }\n', "socket = { noise_mm = 0.05 }\n"
-        by = "a ball in a socket"
-    return AUDIT.format(instruments=section, parameters=wide, noise=noise, by=by, instrument=instrument, **filled)
+        some = ["it", "s"] if len(places) == 1 else ["they", ""]
+        section, wide, noise, by = NOWHERE.format(*some), "", "", "a ball in a socket"
+        for socket, there in places.items():
+            where = ", ".join(f"{x:.1f}" for x in there)
+            section += f'{socket} = {{ kind = "socket", place_mm = [{where}] }}\n'
+            wide += f'{socket}_place = {{ prior = "normal", sd = 100.0 }}\n'
+            noise += f"{socket} = {{ noise_mm = 0.05 }}\n"
+        if len(places) > 1:
+            both = ", ".join(f'"{socket}_place[2]"' for socket in places)
+            by, tied = "a ball in two sockets", f", tied = [[{both}]]"
+            apart = np.ptp(np.array([*places.values()])[:, 1])
+            section += f"# they are {apart:.1f} mm apart along y, which is known: their y is off alike\n"
+    return AUDIT.format(
+        instruments=section, parameters=wide, noise=noise, by=by, instrument=instrument, tied=tied, **filled
+    )
 
 
 def _spread(model: FunctionModel, count: int) -> Array:
@@ -140,31 +161,36 @@ def _spread(model: FunctionModel, count: int) -> Array:
     return np.asarray(model.home_pose + model.pose_scale * shift)
 
 
-def _choose_place(model: FunctionModel) -> Array:
-    """Return where a socket may stand, mm (3,): in front, 0.6 as far out and 0.3 as far up as the tip often is."""
+def _choose_places(model: FunctionModel, n_sockets: int) -> dict[str, Array]:
+    """Return where sockets may stand, mm (3,) by name: in front, 0.6 as far out and 0.3 as far up as the tip often is.
+
+    Two are apart along y.
+    """
     tool = model.tool_values(model.layout.nominal, _spread(model, TRIES))[:, :3]
     reach = float(np.median(np.linalg.norm(tool, axis=1)))
-    return np.array([0.6 * reach, 0.0, 0.3 * reach]).round(1)
+    middle, aside = np.array([0.6 * reach, 0.0, 0.3 * reach]), np.array([0.0, 0.5 * APART * reach, 0.0])
+    if n_sockets == 1:
+        return {SOCKET: middle.round(1)}
+    return {f"{SOCKET}_1": (middle - aside).round(1), f"{SOCKET}_2": (middle + aside).round(1)}
 
 
-def _seat(model: FunctionModel, place: Array) -> Array:
-    """Return configurations within the joints' limits that lead the tip to a place (3,), (P, n).
+def _seat(model: FunctionModel, places: Mapping[str, Array]) -> tuple[Array, list[str]]:
+    """Return configurations within the joints' limits that lead the tip to places (3,), (P, n), and to which each.
 
     InputError where hardly any do.
     """
-    theta, home, half = model.layout.nominal, model.home_pose, model.pose_scale
-    pose = _spread(model, TRIES)
-    for _ in range(STEPS):  # damped least squares
-        here, slope, _ = model.tool(theta, pose)
-        by = slope[:, :3]
-        step = np.swapaxes(by, 1, 2) @ np.linalg.solve(
-            by @ np.swapaxes(by, 1, 2) + DAMPING * np.eye(3), (place - here[:, :3])[..., None]
-        )
-        pose = pose + np.clip(step[..., 0], -LONGEST_STEP, LONGEST_STEP)
-    apart = np.linalg.norm(model.tool_values(theta, pose)[:, :3] - place, axis=1)
-    good = pose[(apart < NEAR_MM) & (np.abs(pose - home) <= half).all(axis=1)]
-    _, first = np.unique(good.round(SAME), axis=0, return_index=True)  # three joints reach it one way, or a few
-    if len(first) < N_POSES:
-        found = f"socket at {place} mm: found {len(first)} configurations that reach it, expected {N_POSES}"
-        raise InputError(f"{found}, or --option instrument={TRACKER}")
-    return np.asarray(good[np.sort(first)[:N_POSES]])
+    sockets = {name: SocketInstrument(SocketConfig(place_mm=where.tolist())) for name, where in places.items()}
+    placed, start = place(model, sockets), _spread(model, TRIES)
+    read = share_contacts(placed, TRIES)
+    pose, found = touch(placed, placed.layout.nominal, start, read, np.zeros(read.shape), {})
+    found &= (np.abs(pose - model.home_pose) <= model.pose_scale).all(axis=1)
+    rows, seated, count = list[Array](), list[str](), N_POSES // len(places)
+    for name, where in places.items():
+        good = pose[found & read[:, placed.instrument_places[name][0]]]
+        _, first = np.unique(good.round(SAME), axis=0, return_index=True)  # three joints reach it one way, or a few
+        if len(first) < count:
+            short = f"{name} at {where} mm: found {len(first)} configurations that reach it, expected {count}"
+            raise InputError(f"{short}, or --option instrument={TRACKER}")
+        rows.append(good[np.sort(first)[:count]])
+        seated += [name] * count
+    return np.concatenate(rows), seated

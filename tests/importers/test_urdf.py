@@ -11,6 +11,8 @@ from refusals import line_of
 from serial_arms import JOINTS, PANDA, SMALL, place_links, write_small
 
 from bayescal import load_machine
+from bayescal.experiments.audit.audit import analyse
+from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.importers import import_file
 
 BALL = {"tip": "ball_link"}
@@ -27,9 +29,9 @@ def begin(path, folder, options=None):
 
 def find_tips(text, tip, names, folder):
     """Return configurations (P, n) and where a file's own link stands in them, mm (P, 3)."""
-    table = pd.read_csv(folder / "configurations.csv", comment="#")
-    units = np.array([1e-3 if one.endswith("_mm") else 1.0 for one in table.columns[1:]])
-    q = table.iloc[:, 1:].to_numpy()
+    table = pd.read_csv(folder / "configurations.csv", comment="#").select_dtypes("number")
+    units = np.array([1e-3 if one.endswith("_mm") else 1.0 for one in table.columns])
+    q = table.to_numpy()
     places = [place_links(text, dict(zip(names, row * units, strict=True)))[tip][:3, 3] for row in q]
     return q, 1e3 * np.array(places)
 
@@ -50,6 +52,26 @@ def test_a_ball_comes_to_its_socket_within_the_limits(tmp_path, call):
     assert (np.ptp(q, axis=0) > 1.0).all()  # rad: configurations that differ
     code, _, err = call("validate", folder / "audit.toml")
     assert (code, err) == (0, "")
+
+
+def test_two_sockets_whose_distance_is_known_tell_the_scale(tmp_path):
+    one, two = (begin(PANDA, tmp_path / n, BALL | {"sockets": n}) for n in ("1", "2"))
+    audit = tomllib.loads((two / "audit.toml").read_text())
+    _, tips = find_tips(PANDA.read_text(), "ball_link", [f"panda_joint{k}" for k in range(1, 8)], two)
+    seated = pd.read_csv(two / "configurations.csv", comment="#")["instruments"]
+    assert seated.value_counts().to_dict() == {"socket_1": 20, "socket_2": 20}
+    expected = [audit["instruments"][name]["place_mm"] for name in seated]
+    np.testing.assert_allclose(tips, expected, rtol=0, atol=NEAR)
+
+    def judge(folder):
+        (plan,) = read_plans(load_audit(folder / "audit.toml"), folder).values()
+        return len(plan.names) - analyse(plan).structure.rank, plan
+
+    assert (judge(one)[0], judge(two)[0]) == (8, 7)
+    plan = judge(two)[1]
+    present = plan.variant.data.present[:, [plan.variant.model.names.index(f"socket_{k}[x]") for k in (1, 2)]]
+    np.testing.assert_array_equal(present, seated.to_numpy()[:, None] == ["socket_1", "socket_2"])
+    assert {one.name for one in plan.list_changes()} == set()  # other poses are in no socket
 
 
 def test_a_tracker_sees_configurations_all_over_the_limits(tmp_path, call):
@@ -80,11 +102,13 @@ def test_a_file_is_audited_as_it_is(tmp_path, call):
     assert "no readings in such a file: audit.toml says what they would determine" in said
     code, said, _ = call("audit", tmp_path / "arm" / "audit.toml", "--out", tmp_path / "out", "--workers", 1)
     assert code == 0
-    assert "determine 21 of 35 parameters; combinations: 6 structurally unidentifiable" in " ".join(said.split())
+    assert "determine 21 of 35 parameters; combinations: 8 structurally unidentifiable" in " ".join(said.split())
 
 
 FAULTS = {
-    "option": ({"tool": "x"}, "--option tool: found it, expected one of base, tip, instrument"),
+    "option": ({"tool": "x"}, "--option tool: found it, expected one of base, tip, instrument, sockets"),
+    "sockets": ({"sockets": "3"}, "--option sockets: found '3' with socket, expected 1 or 2 with socket"),
+    "sockets of a tracker": ({"instrument": "tracker", "sockets": "2"}, "found '2' with tracker, expected 1 or 2"),
     "instrument": ({"instrument": "camera"}, "--option instrument: found 'camera', expected socket or tracker"),
     "tip": ({"tip": "thumb"}, "tip: found no link 'thumb', expected one of floor"),
     "base": ({"base": "cellar"}, "base: found no link 'cellar', expected one of floor"),

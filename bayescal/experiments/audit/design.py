@@ -12,7 +12,7 @@ from bayescal.errors import InputError, name_faults
 from bayescal.experiments.audit.audit import check_changes
 from bayescal.experiments.audit.machine import PlannedMachine
 from bayescal.experiments.audit.measured import Draws, MeasuredMachine, centre, describe_found, read_measured
-from bayescal.experiments.audit.planned import DesignVariant, find_true_sizes
+from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses, find_true_sizes
 from bayescal.experiments.audit.pose_sensors import ON_TOOL, find_channels, read_pose_sensors
 from bayescal.experiments.audit.schema import AuditConfig, AuditVariantConfig
 from bayescal.experiments.audit.sensor_sets import SensorChoice, list_choices
@@ -82,8 +82,10 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
     for one in config.variants:
         with name_faults(f"variant {one.name!r}" if len(config.variants) > 1 else ""):
             own = makers[one.model, one.deformation]
-            plans[one.name] = build_plan(config, one, own.build(one, planned), required, own)
+            plans[one.name] = build_plan(config, one, planned, required, own)
             check_changes(plans[one.name])
+            if config.selection is not None and not plans[one.name].reads_anywhere:
+                raise InputError("selection: found instruments that read at some poses alone, expected all at each")
     check_profiles(list(dict.fromkeys(name for one in plans.values() for name in one.names)), config.profiles)
     check_reach(next(iter(plans.values())))
     if (asked := config.sensor_selection) is None:
@@ -93,7 +95,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
         listed = [name for one in asked.candidates for name in ([one] if isinstance(one, str) else one)]
         what = asked.model_dump(include=set(FreeConfig.model_fields))
         section = AuditVariantConfig(name="sensor_selection", sensors=[*asked.required_sensors, *listed], **what)
-        every = build_plan(config, section, maker.build(section, planned), required, maker)
+        every = build_plan(config, section, planned, required, maker)
     seen = every.variant, every.expected, every.see_errors
     choice = SensorChoice(
         asked, tuple(maker.spread(asked.required_sensors)), *seen, choices, required, every.units, config.seed
@@ -108,9 +110,9 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[DesignVariant, Draws | Non
     section, posterior = config.variants[0], machine.found.posterior
     units = Units(config.units.length, config.units.angle)
     tau, sizes, floors, others = describe_found(posterior.errors, zeta)
-    variant = machine.build(section, machine.own_poses)
+    variant = machine.build(section, poses := machine.own_poses)
     required = read_requirements(config.requirements, machine.model, config.units, config.requirement_applies_to)
-    plan = DesignVariant(config, section, variant, required, units, machine, tau, sizes, floors, others)
+    plan = DesignVariant(config, section, variant, poses, required, units, machine, tau, sizes, floors, others)
     check_profiles(plan.names, config.profiles)
     check_changes(plan)
     return plan.resize(sizes), draws
@@ -119,14 +121,15 @@ def draw_plan(design: AuditDesign, run: Run) -> tuple[DesignVariant, Draws | Non
 def build_plan(
     config: AuditConfig,
     section: AuditVariantConfig,
-    variant: Variant,
+    planned: PlannedPoses,
     required: tuple[Requirement, ...],
     maker: PlannedMachine,
 ) -> DesignVariant:
     """Return a variant with the systematic errors that a study of it is expected to find."""
+    variant = maker.build(section, planned)
     true, error = find_true_sizes(config, variant), config.model_error
     units = Units(config.units.length, config.units.angle)
-    plan = DesignVariant(config, section, variant, required, units, maker, error.tau, true, error.lengths())
+    plan = DesignVariant(config, section, variant, planned, required, units, maker, error.tau, true, error.lengths())
     return plan.settle(true)
 
 

@@ -28,12 +28,17 @@ from bayescal.experiments.shared.readings.workspace import (
     check_told,
     draw_given,
     draw_standing,
+    lead_to_contact,
 )
 from bayescal.experiments.shared.requirements import is_aligned
 from bayescal.experiments.shared.study_schema import VariantConfig as FittedConfig
-from bayescal.files.csv_tables import read_matrix
+from bayescal.files.csv_tables import CsvTable, read_matrix
 from bayescal.machines.readings import Given, ReadingModel
+from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import Array
+
+NEAR_MM = 10.0
+"""How far a planned tool may be off what it is to touch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +61,11 @@ class PlannedMachine:
         """
         config, model = self.config, self.model
         if section.file is not None:
-            known = [*list_columns(model.coordinates), *model.given]
+            known = [*list_columns(model.coordinates), *model.given, READ_BY]
             expected = [*(f"{one.name}_{one.unit}" for one in model.coordinates), *model.given]
             table, names = read_named(self.folder / section.file, known, expected)
-            return PlannedPoses(names, read_quantities(table, model.coordinates), read_given(table, model.given))
+            pose, given = read_quantities(table, model.coordinates), read_given(table, model.given)
+            return PlannedPoses(names, pose, given, read=_find_read(table, model))
         check_given(config.conditions, model)
         rng, layout = np.random.default_rng([config.seed, 8]), model.layout
         priors, fixed, _ = choose_priors(config, FreeConfig(), layout, self.symbols)
@@ -79,8 +85,8 @@ class PlannedMachine:
                 middle = home[0, commanded]
             return locate(model, theta, middle, moves, draw_given(config.conditions, len(moves), rng))
         assert section.count is not None
-        given = draw_given(config.conditions, section.count, rng)
-        return plan_random(model, theta, section, given, self.workspace.widen(factor), rng, config.seed)
+        given, workspace = draw_given(config.conditions, section.count, rng), self.workspace.widen(factor)
+        return plan_random(model, theta, section, given, workspace, rng, config.seed)
 
     # --- variants ----------------------------------------------------------------------------------------------------
 
@@ -136,6 +142,9 @@ class PlannedMachine:
             raise InputError(
                 f"pose {planned.names[k]!r}: found no reading of {model.names[channel]}, expected a reachable pose"
             )
+        if planned.read is not None:
+            values = np.where(planned.read[:, chosen], values, np.nan)
+        self._check_contact(model, planned.names, values)
         variant = replace(variant, data=self._add_noise(replace(variant.data, values=values), chosen, read))
         check_told(variant.plain(), planned.pose, self.workspace)
         home, reach = measure_ranges(model, variant.data, self.workspace)
@@ -144,6 +153,19 @@ class PlannedMachine:
         own = find_own_channels(variant.posterior(), variant.data, planned.pose, used, reach, positions, self.workspace)
         terms, missing = build_terms_of_model(config.model_error, model, variant.data, own, priors, few=True)
         return replace(variant, errors=ErrorModel(terms), missing=missing)
+
+    def _check_contact(self, model: ReadingModel, names: Sequence[str], values: Array) -> None:
+        """Raise InputError for readings (P, K) by contact of several instruments at once, or from far off."""
+        touched = {one: np.isfinite(values[:, model.instrument_places[one]]).all(axis=1) for one in model.contacts}
+        for row in np.flatnonzero(sum(touched.values(), np.zeros(len(names), dtype=int)) > 1)[:1]:
+            both = " and ".join(one for one in touched if touched[one][row])
+            raise InputError(
+                f"poses: pose {names[row]!r}: found contact with {both}, expected one, named in column {READ_BY!r}"
+            )
+        for one, there in touched.items():
+            off = np.linalg.norm(values[:, model.instrument_places[one]], axis=1)
+            for row in np.flatnonzero(there & (off > NEAR_MM))[:1]:
+                raise InputError(f"poses: pose {names[row]!r}: found it {off[row]:.4g} mm off {one}, expected contact")
 
     def _add_noise(self, data: Measurements, chosen: np.ndarray, read: Array) -> Measurements:
         """Return readings of the chosen channels with their noise, all channels reading (P, K)."""
@@ -165,6 +187,26 @@ class PlannedMachine:
         return replace(data, sd=sd, correlation=None if alone else correlation)
 
 
+def _find_read(table: CsvTable, model: ReadingModel) -> np.ndarray | None:
+    """Return which channels are read at each pose, bool (P, K): of instruments those whose names stand in its cell.
+
+    None without such a column, or instruments.
+    """
+    if READ_BY not in table.columns:
+        return None
+    known, column = model.instrument_places, table.columns.index(READ_BY)
+    read = np.ones((len(table.rows), len(model.channels)), dtype=bool)
+    for row, cells in enumerate(table.rows):
+        named = cells[column].split()
+        for name in named:
+            if name not in known:
+                expected = f"some of {', '.join(known)}, with spaces between" if known else "[instruments]"
+                raise InputError(f"{table.where(row)}: {READ_BY}: found {name!r}, expected {expected}")
+        for name, places in known.items():
+            read[row, places] = name in named
+    return read
+
+
 # --- actuator positions ----------------------------------------------------------------------------------------------
 
 
@@ -179,12 +221,18 @@ def plan_random(
 ) -> PlannedPoses:
     """Return random poses of a workspace by a generator, or of random actuator positions of a machine (D,) by a seed.
 
-    InputError where the actuators have no range, or there is a position at which the machine cannot stand.
+    Instruments that read by contact do so at some each, to which the random ones are led. InputError where the
+    actuators have no range, or there is a position at which the machine cannot stand.
     """
     assert section.count is not None
-    if section.sampling == "workspace":
+    if section.sampling == "workspace" or model.contacts:
         pose, _ = draw_standing(model, workspace, theta, given, section.count, rng)
-        return PlannedPoses(count_poses(section.count), pose, dict(given))
+        found = PlannedPoses(count_poses(section.count), pose, dict(given))
+        if not model.contacts:
+            return found
+        exact = np.zeros((section.count, len(model.channels)))
+        pose, read = lead_to_contact(model, workspace, theta, given, pose, exact, rng)
+        return replace(found, pose=pose, read=read)
     limits = model.command_range
     if not len(limits) or not np.isfinite(limits).all():
         raise InputError(f"poses.sampling: found {section.sampling!r} without an actuator range, expected 'workspace'")

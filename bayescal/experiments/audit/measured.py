@@ -20,6 +20,7 @@ from bayescal.density.calibration.measurements import Measurements, RowPositions
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
 from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.priors import NormalPrior, Prior
+from bayescal.density.sampling import place_free
 from bayescal.errors import InputError
 from bayescal.experiments.audit.machine import plan_random
 from bayescal.experiments.audit.planned import PlannedPoses
@@ -69,6 +70,12 @@ class MeasuredMachine:
         likelihood, data = self.found.with_pose_guesses.likelihood, self.found.posterior.likelihood.data
         return PlannedPoses(data.poses, likelihood.start, dict(data.given), np.arange(data.n_poses))
 
+    @property
+    def _centred(self) -> dict[str, Prior]:
+        """The study's priors about where free parameters are expected."""
+        priors = self.found.posterior.priors
+        return {name: NormalPrior(self.centre[name], prior.sd) for name, prior in priors.items()}
+
     def list_priors(self, section: AuditVariantConfig) -> Mapping[str, Prior]:
         """Return the study's priors."""
         del section
@@ -85,6 +92,8 @@ class MeasuredMachine:
             raise InputError("poses: found a file with [data], expected a count")
         posterior, seed = self.found.posterior, self.config.seed
         given, theta = typical_given(posterior.likelihood.data.given, section.count), posterior.first_machine
+        if self.model.contacts:  # what touches at one machine is off at another
+            theta = place_free(self.model.layout, self._centred, posterior.fixed, posterior.common)[1]
         workspace, rng = self.workspace.widen(factor), np.random.default_rng([seed, 8])
         return plan_random(self.model, theta, section, given, workspace, rng, seed)
 
@@ -101,9 +110,7 @@ class MeasuredMachine:
             sd = np.tile(np.median(data.sd, axis=0), (len(planned.names), 1))
             mean = None if data.correlation is None else data.correlation.mean(axis=0)
             correlation = None if mean is None else np.tile(mean, (len(sd), 1, 1))
-        priors: dict[str, Prior] = {
-            name: NormalPrior(self.centre[name], prior.sd) for name, prior in posterior.priors.items()
-        }
+        priors = self._centred
         nothing = Measurements(planned.names, np.zeros_like(sd), sd, planned.given, correlation)
         variant = Variant(
             FittedConfig(name=section.name, title=section.label, noise_known=True),
@@ -124,6 +131,8 @@ class MeasuredMachine:
             raise InputError("poses: found one that the machine cannot reach, expected reachable poses")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
+        if planned.read is not None:
+            values = np.where(planned.read, values, np.nan)
         variant = replace(variant, data=replace(nothing, values=values))
         check_told(variant.plain(), planned.pose, self.workspace)
         moved = posterior.errors.change(GPTerm, lambda one: _move(one, model, variant.data, planned.pose))

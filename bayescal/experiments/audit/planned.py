@@ -61,13 +61,21 @@ class FreeParameters(NamedTuple):
 class PlannedPoses:
     """Poses (P, q) by name, and what the machine has to know of each, (P,) by name.
 
-    ``rows``: which of the poses that were measured these are, (P,), if they are some of them.
+    ``rows``: which of the poses that were measured these are, (P,), if they are some of them. ``read``: which channels
+    of the machine with all instruments are read at each, bool (P, K); all where it is None.
     """
 
     names: tuple[str, ...]
     pose: Array
     given: dict[str, Array]
     rows: np.ndarray | None = None
+    read: np.ndarray | None = None
+
+    def repeat(self, names: Sequence[str], again: np.ndarray) -> PlannedPoses:
+        """Return some of them (P',), some more than once, by other names."""
+        rows, read = (None if one is None else one[again] for one in (self.rows, self.read))
+        given = {name: value[again] for name, value in self.given.items()}
+        return PlannedPoses(tuple(names), self.pose[again], given, rows, read)
 
 
 def count_poses(n: int) -> tuple[str, ...]:
@@ -102,6 +110,7 @@ class DesignVariant:
     config: AuditConfig
     section: AuditVariantConfig
     variant: Variant  # its readings those of the machine as expected, without noise
+    planned: PlannedPoses
     requirements: Sequence[Requirement]  # of the tool's numbers, inner units
     units: Units  # those of tolerances, requirements and results
     maker: VariantSource
@@ -165,6 +174,11 @@ class DesignVariant:
         return self.variant.data.n_poses
 
     @property
+    def reads_anywhere(self) -> bool:
+        """Whether all instruments read at any pose: none by contact, and none at some of the planned ones alone."""
+        return self.planned.read is None and not self.variant.model.contacts
+
+    @property
     def is_beyond_range(self) -> bool:
         """Whether the actuators would have to reach further than they do."""
         return bool(self.variant.model.find_beyond(self.variant.data.values).any())
@@ -185,7 +199,10 @@ class DesignVariant:
         count = max(WIDE_POSES, 2 * len(self.names) // max(1, len(self.variant.model.channels)))
         with np.errstate(all="ignore"):
             wide = next(self._spread(PlannedPosesConfig(count=count)), self)
-            return find_structural_rank(replace(wide.variant, errors=ErrorModel()).plain(), rng)
+            found = find_structural_rank(replace(wide.variant, errors=ErrorModel()).plain(), rng)
+        if self.variant.model.contacts:  # another machine at these poses does not touch
+            return replace(found, rank_elsewhere=None)
+        return found
 
     def _spread(self, section: PlannedPosesConfig) -> Iterator[DesignVariant]:
         """Yield the same at poses of wider workspaces than its own, as far as the machine can take them."""
@@ -294,7 +311,7 @@ class DesignVariant:
         section = section or self.section
         variant = self.maker.build(section, poses)
         before, after = (one.errors.terms_of(LowRankGPTerm) for one in (self.variant, variant))
-        changed = replace(self, section=section, variant=variant)
+        changed = replace(self, section=section, variant=variant, planned=poses)
         if before and after and len(before[0].own.places) == len(after[0].own.places):
             return changed.resize(rescale(self.sizes, before[0].own.place, after[0].own.place))
         return changed.settle(find_true_sizes(self.config, variant) if self.sizes else {})
@@ -307,7 +324,7 @@ class DesignVariant:
         """
         config, n, changes = self.config, self.n_poses, list[ScenarioConfig]()
         limits = self.variant.model.command_range
-        if len(limits) and np.isfinite(limits).all() and config.data is None:
+        if len(limits) and np.isfinite(limits).all() and config.data is None and self.reads_anywhere:
             for plan, words in (
                 ("extremes", "at the ends of the range"),
                 ("uniform", "spread evenly over the range"),
@@ -328,7 +345,7 @@ class DesignVariant:
 
     def change(self, change: ScenarioConfig) -> DesignVariant:
         """Return the same machine with a changed plan; InputError where there is none."""
-        config, data = change.poses or self.config.poses, self.variant.data
+        config = change.poses or self.config.poses
         count = max(1, round(change.poses_factor * self.n_poses))
         random = config.file is None and config.configurations is None and (change.poses or self.config.data is None)
         if change.poses is not None or (random and change.poses_factor != 1.0):
@@ -336,9 +353,8 @@ class DesignVariant:
             poses = self.maker.plan(config if same or not random else config.model_copy(update={"count": count}))
         else:
             again = np.arange(count) % self.n_poses
-            given = {name: value[again] for name, value in data.given.items()}
-            names = tuple(f"{data.poses[k]}_{n // self.n_poses + 1}" for n, k in enumerate(again))
-            poses = PlannedPoses(names, self.variant.start[again], given, again)
+            names = [f"{self.planned.names[k]}_{n // self.n_poses + 1}" for n, k in enumerate(again)]
+            poses = self.planned.repeat(names, again)
         if change.workspace_factor != 1.0:
             middle = self.variant.workspace.middle
             poses = replace(poses, pose=middle + change.workspace_factor * (poses.pose - middle))
@@ -412,6 +428,7 @@ class DesignVariant:
                 raise InputError("tolerances: found machines that miss planned poses, expected smaller ones")
         white, _ = posterior.likelihood.explain(*posterior.at(self.expected[None]))
         noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
+        values[:, ~data.present] = np.nan
         return y, Comparison(model.channels).add(values, noise), redrawn
 
     def _count_kept(self, y: Array, errors: Array, rng: np.random.Generator) -> np.ndarray:

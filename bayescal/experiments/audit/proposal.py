@@ -32,6 +32,8 @@ def propose(plan: DesignVariant) -> tuple[str, DesignVariant] | None:
 
     Out of the planned ones, random ones of the workspace and, where the actuators' range is known, of its ends.
     """
+    if not plan.reads_anywhere:
+        return None
     bare, n = plan.without_systematic_errors(), plan.n_poses
     pools = (_list_pool(plan), plan.around.pose)
     slopes = [differentiate(bare.posterior, bare.variant, bare.expected, one) for one in pools]

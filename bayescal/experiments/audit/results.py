@@ -409,7 +409,7 @@ def describe_variant(audit: AuditOutcome) -> AuditVariantRow:
         variant=inputs.section.name,
         title=inputs.section.label,
         data_set=name_data(inputs.variant),
-        n_equations=inputs.n_poses * (len(model.channels) - len(model.coordinates)),
+        n_equations=int(inputs.variant.data.present.sum()) - inputs.n_poses * len(model.coordinates),
         n_parameters=len(inputs.names),
         n_poses=inputs.n_poses,
         n_identifiable=analysis.verdicts.count("identifiable"),

@@ -66,8 +66,9 @@ type SensorConfig = Annotated[
 class PlannedPosesConfig(Section):
     """Where it is planned to measure: at random poses of the workspace, random actuator positions, or as a file says.
 
-    A file of poses has ``pose``, the coordinates with their units such as ``x_mm``, and what the machine has to know
-    of each; a file of configurations has displacements of the actuators.
+    A file of poses has ``pose``, the coordinates with their units such as ``x_mm``, what the machine has to know of
+    each, and maybe ``instruments``: the names of those that read there, with spaces between, all where there is no such
+    column. A file of configurations has displacements of the actuators. Random poses are led to sockets and planes.
     """
 
     sampling: Literal["workspace", "uniform", "extremes", "file"] = "workspace"

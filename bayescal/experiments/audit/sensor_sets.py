@@ -356,12 +356,15 @@ def _describe[R: SensorSetRow](
 ) -> R:
     """Return a set as a row, with how many of a number of choices were judged where one is given."""
     one, variant = found.accuracy[place], choice.variant
+    some = choice.members[found.sets[place]].any(axis=0)
+    some[variant.model.select(choice.always)] = True
+    n_read = int(variant.data.present[:, some].sum())
     names = [f"{name}_{unit}" for name, unit in zip(*name_tool(variant.model), strict=True)]
     parts = {ERROR: one.error, PARAMETER_ERROR: one.after, NOISE: one.noise}
     same = [] if number is None else [found.accuracy[k] for k in np.flatnonzero(found.sets.sum(axis=1) == number)]
     return row(
         **_name_set(choice, found, place),
-        n_equations=variant.data.n_poses * max(0, one.n_readings - len(variant.model.coordinates)),
+        n_equations=max(0, n_read - variant.data.n_poses * len(variant.model.coordinates)),
         goal=one.goal if np.isfinite(one.goal) else np.nan,
         probability=found.probability[place] if choice.requirements else None,
         sd_ratio=float(np.sqrt(np.mean(one.sd**2))),

@@ -81,6 +81,8 @@ def read_next_pose(config: NextPoseConfig, folder: Path) -> NextPoseInputs:
     if config.goal == "variants" and len(found) < 2:
         raise InputError(f"{path}: expected --require NAME=VALUE, [requirements], or two variants")
     first = next(iter(found.values()))
+    if touching := first.posterior.likelihood.model.contacts:
+        raise InputError(f"{path}: found {', '.join(touching)} to touch, expected instruments that read at any pose")
     there = first.posterior.likelihood.data.n_poses
     n = there if config.n_first_poses is None else config.n_first_poses
     if n > there:

@@ -48,6 +48,7 @@ from bayescal.experiments.shared.readings.workspace import (
     check_given,
     draw_given,
     draw_standing,
+    lead_to_contact,
 )
 from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.simulation.schema import (
@@ -122,7 +123,11 @@ class ReadingPlan:
         theta = round_as_written(drawn if self.truth is None else self.truth)
         given = draw_given(config.conditions, self.n_poses, rng)
         pose, exact = draw_standing(model, self.workspace, theta, given, self.n_poses, rng)
-        measured = exact + self.noise * rng.standard_normal(exact.shape)
+        error = self.noise * rng.standard_normal(exact.shape)
+        if model.contacts:
+            pose, read = lead_to_contact(model, self.workspace, theta, given, pose, error, rng)
+            exact = np.where(read, model.read(theta, pose, given), np.nan)
+        measured = exact + error
         n_calibration = self.n_poses - self.n_held_back
         names = [f"C{k:03d}" for k in range(1, n_calibration + 1)]
         names += [f"V{k:02d}" for k in range(1, self.n_held_back + 1)]
@@ -217,7 +222,7 @@ def _format_readings(
         (
             name,
             use,
-            *(f"{x:.{d}f}" for x, d in zip(row, decimals, strict=True)),
+            *("" if np.isnan(x) else f"{round(x, d) + 0.0:.{d}f}" for x, d in zip(row, decimals, strict=True)),
             *(f"{value[k]:.12g}" for value in given.values()),
         )
         for k, (name, use, row) in enumerate(zip(names, uses, values, strict=True))

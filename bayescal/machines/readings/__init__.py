@@ -19,7 +19,11 @@ MACHINES = {
 """Built-in machines of one function, by the ``kind`` of their files."""
 INSTRUMENTS = {
     name: f"bayescal.machines.readings.placed:{name.capitalize()}Instrument" for name in ("distance", "point", "pose")
-} | {"socket": "bayescal.machines.readings.sockets:SocketInstrument"}
+} | {
+    "camera": "bayescal.machines.readings.camera:CameraInstrument",
+    "plane": "bayescal.machines.readings.planes:PlaneInstrument",
+    "socket": "bayescal.machines.readings.sockets:SocketInstrument",
+}
 """Built-in instruments beside a machine, by the ``kind`` of their sections."""
 
 __all__ = [

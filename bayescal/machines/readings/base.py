@@ -362,6 +362,16 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def instrument_places(self) -> Mapping[str, np.ndarray]:
+        """Where channels of each instrument stand among all, by its name."""
+        return {}
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """Names of the instruments that read by contact, of which channels are there."""
+        return ()
+
+    @property
     def bare(self) -> ReadingModel:
         """The machine without instruments beside it."""
         return self

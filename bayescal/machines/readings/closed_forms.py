@@ -3,7 +3,8 @@
 Points s_i in an instrument's frame of axes R and origin o, of p_i in the base frame: p = o + R s, whose best rotation
 is Kabsch's (Acta Cryst. A32, 1976). Poses A_i = Z⁻¹ B_i X of a frame X on the tool: R_Z R_A = R_B R_X is linear in both
 rotations (Li, Wang and Wu, Int. J. Phys. Sci. 5, 2010), and so are positions then. Distances: |p - a|² is linear in the
-anchor a, in the zero and in one number more.
+anchor a, in the zero and in one number more. A point t of tools (p, R) that touches a plane of normal n,
+n·(p + R t) = d, is linear in n, in the nine products n tᵀ and in d.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ MIRRORED = 5.0  # times smaller residuals by which a left-handed frame has to fi
 OUTLYING = 6.0  # times the median residual, beyond which a point is left out
 ROUNDS = 3
 RANK = 1e-6  # of the largest singular value, below which both rotations of A X = Z B are not determined
+SHEARED = 1.2  # ratio of singular values, below which axes that need not be orthogonal are
 
 type Frame = tuple[Array, Array]
 """Position (3,) and axes (3, 3)."""
@@ -111,6 +113,66 @@ def fit_places(position: Array, rotation: Array, seen: Array, axes: Array) -> tu
     side = (position - seen @ axes.T)[there]
     found = np.linalg.lstsq(np.concatenate(rows), side.ravel(), rcond=1e-9)[0] if len(rows) else np.zeros(6)
     return found[:3], found[3:]
+
+
+def is_mirrored(position: Array, rotation: Array, seen: Array, on_tool: bool) -> bool:
+    """Return whether points seen (P, 3) fit a left-handed frame: p + R t = o + A s, any A, has orthogonal axes of one.
+
+    With ``on_tool`` the instrument is on the tool and sees a point that stands still, p + R (t + A s) = o.
+    """
+    there = np.isfinite(seen).all(axis=1) & np.isfinite(position).all(axis=1)
+    position, rotation, seen = (one[there] for one in (position, rotation, seen))
+    rows = [
+        np.hstack([np.eye(3), -b, np.kron(-b if on_tool else np.eye(3), s)])
+        for b, s in zip(rotation, seen, strict=True)
+    ]
+    if len(rows) < 6:
+        return False
+    found, _, rank, _ = np.linalg.lstsq(np.concatenate(rows), position.ravel(), rcond=RANK)
+    axes = found[6:].reshape(3, 3)
+    sizes = np.linalg.svd(axes, compute_uv=False)
+    return bool(rank == len(found) and sizes[0] < SHEARED * sizes[2] and np.linalg.det(axes) < 0.0)
+
+
+def fit_plane(points: Array) -> list[Array]:
+    """Return the unit normal, either side, and the offset (4,) of the plane n·p = d of points (P, 3), if it is one."""
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < 3:
+        return []
+    middle = points.mean(axis=0)
+    _, extent, axes = np.linalg.svd(points - middle)
+    if extent[1] <= RANK * extent[0]:
+        return []
+    return [np.append(axes[2], axes[2] @ middle)]
+
+
+def fit_plane_and_tip(position: Array, rotation: Array) -> list[Array]:
+    """Return unit normals, either side, offset and tip on the tool (7,) of a plane that tools' tips touch.
+
+    Tools are at (P, 3), turned by (P, 3, 3). One is that of tools which turn little, ω about the mean, where
+    n·R t = n·t + (t × n)·ω tells the tip across the normal; the other of any turns, where they tell all of it.
+    """
+    there = np.isfinite(position).all(axis=1)
+    position, rotation = position[there], rotation[there]
+    if len(position) < 7:
+        return []
+    middle, size = position.mean(axis=0), np.ptp(position, axis=0).max()
+    mean = _orthogonalise(rotation.sum(axis=0))
+    own, one, found = (position - middle) / size, np.ones((len(position), 1)), list[Array]()
+    for turned in (rotation_vector_from_matrix(rotation @ mean.T), rotation.reshape(-1, 9)):
+        rows = np.hstack([own, turned, one])
+        _, values, right = np.linalg.svd(rows, full_matrices=False)
+        long = float(np.linalg.norm(right[-1, :3])) / size
+        if len(values) < rows.shape[1] or values[-2] < RANK * values[0] or long == 0.0:
+            continue
+        normal, products, rest = right[-1, :3] / size / long, right[-1, 3:-1] / long, right[-1, -1] / long
+        if len(products) == 3:
+            tip = mean.T @ np.cross(normal, products)
+            rest -= normal @ mean @ tip
+        else:
+            tip = normal @ products.reshape(3, 3)
+        found.append(np.array([*normal, normal @ middle - rest, *tip]))
+    return found
 
 
 def fit_anchor(points: Array, distance: Array, with_zero: bool) -> list[Array]:

@@ -8,7 +8,7 @@ A step into a place where g has no value is halved.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ WAYS = (4, 32)
 ON_THE_WAY = 3  # Newton steps at each of them
 MOST = 40  # Newton steps at its end
 HALVINGS = 6
+TOUCHING = 1e-6  # mm, within which a reading of a contact is zero
 ARRIVED = 1e-11  # of a coordinate's scale, below which a step has arrived
 
 
@@ -30,7 +31,9 @@ type Function = Callable[[Array, np.ndarray], tuple[Array, Array]]
 """From poses (n, q) of some rows (n,) to what is still wanted of g, y - g (n, m), and its slopes ∂g/∂v (n, m, q)."""
 
 
-def solve(miss: Function, first: Array, start: Array, scale: Array, follow: bool) -> tuple[Array, np.ndarray]:
+def solve(
+    miss: Function, first: Array, start: Array, scale: Array, follow: bool, ways: Sequence[int] = WAYS
+) -> tuple[Array, np.ndarray]:
     """Return v (P, q) with g(v) = y in the sense of least squares, and which rows have arrived.
 
     Parameters
@@ -43,9 +46,11 @@ def solve(miss: Function, first: Array, start: Array, scale: Array, follow: bool
         Of the coordinates.
     follow : bool
         Whether the way from the start is followed, to goals y - (1 - t) (y - g(start)); otherwise the start is near.
+    ways : sequence of int
+        Steps of the way, tried in turn.
     """
     v, found = start.copy(), np.zeros(len(start), dtype=bool)
-    for n_steps in WAYS if follow else (1,):
+    for n_steps in ways if follow else (1,):
         rows = np.flatnonzero(~found)
         if not len(rows):
             break
@@ -105,6 +110,41 @@ def locate_pose(
     pose, found = solve(miss, first, begin, model.pose_scale, start is None)
     pose[~found] = np.nan
     return pose.reshape(*shape, q), found.reshape(shape)
+
+
+def share_contacts(model: ReadingModel, n: int) -> np.ndarray:
+    """Return which channels are read in each of n rows, bool (n, K): of instruments that touch one in each, in turn."""
+    read = np.ones((n, len(model.channels)), dtype=bool)
+    for k, name in enumerate(model.contacts):
+        read[np.ix_(np.arange(n) % len(model.contacts) != k, model.instrument_places[name])] = False
+    return read
+
+
+def touch(
+    model: ReadingModel, theta: Array, start: Array, read: np.ndarray, error: Array, given: Given
+) -> tuple[Array, np.ndarray]:
+    """Return poses (P, q) near a start at which instruments touch, and which were found.
+
+    Parameters
+    ----------
+    theta, start : ndarray, shapes (D,) and (P, q)
+    read : ndarray of bool, shape (P, K)
+        Which channels are read in each row.
+    error : ndarray, shape (P, K)
+        Errors of the readings: a channel of an instrument that touches is to read zero with them.
+    """
+    places = np.concatenate([model.instrument_places[name] for name in model.contacts])
+    there = read[:, places]
+
+    def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
+        here = model.linearise(theta, pose, False, {name: value[rows] for name, value in given.items()})
+        left = np.where(there[rows], -error[rows][:, places] - here.values[:, places], 0.0)
+        return left, here.by_pose[:, places] * there[rows][..., None]
+
+    first, _ = miss(start, np.arange(len(start)))
+    pose, found = solve(miss, first, start, model.pose_scale, True, WAYS[:1])  # what fails begins elsewhere
+    left, _ = miss(pose, np.arange(len(pose)))
+    return pose, found & (np.abs(left) < TOUCHING).all(axis=1)
 
 
 def _flatten(values: Array, shape: tuple[int, ...]) -> Array:

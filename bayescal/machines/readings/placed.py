@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -43,6 +43,7 @@ from bayescal.machines.readings.closed_forms import (
     fit_places,
     fit_point_frame,
     fit_turned_frame,
+    is_mirrored,
     list_turns,
     vector_of,
 )
@@ -50,6 +51,8 @@ from bayescal.machines.readings.function import COMPLEX_STEP, FunctionModel, Par
 from bayescal.numerics.analytic import norm, rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array
 
+READ_BY = "instruments"
+"""Column of a file of planned poses that names the instruments which read in a row."""
 NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
 
 
@@ -76,6 +79,9 @@ class Instrument(ReadingMachine):
     >>> Gauge().read({"plate": 5.0}, np.array([0.0, 0.0, 30.0, 0.0, 0.0, 0.0]), {})
     array([25.])
     """
+
+    touches: ClassVar[bool] = False
+    """Whether it reads by contact, zeros alone, in rows of its own: simulated tools are led to where it does."""
 
     @abstractmethod
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -210,8 +216,7 @@ class PointInstrument(Instrument):
 
     def find_mirrored(self, seen: Array, position: Array, rotation: Array) -> bool:
         """Return whether positions fit a left-handed frame alone; see `Instrument.find_mirrored`."""
-        del rotation
-        return fit_point_frame(position, seen[:, :3])[1]
+        return fit_point_frame(position, seen[:, :3])[1] or is_mirrored(position, rotation, seen[:, :3], False)
 
 
 class PoseInstrument(PointInstrument):
@@ -341,6 +346,19 @@ class InstrumentedMachine(ReadingModel):
     def instrument_symbols(self) -> tuple[str, ...]:
         """Those of all instruments."""
         return self.layout.symbols[len(self.whole.layout.symbols) :]
+
+    @cached_property
+    def instrument_places(self) -> Mapping[str, np.ndarray]:
+        """Where channels of each instrument stand among all, by its name."""
+        ends = np.cumsum([len(one.channels) for one in (self.whole, *self.instruments)])
+        parts = np.split(np.arange(ends[-1]), ends[:-1])[1:]
+        return {one.name: places for one, places in zip(self.instruments, parts, strict=True)}
+
+    @property
+    def contacts(self) -> tuple[str, ...]:
+        """Names of the instruments that read by contact, of which channels are there."""
+        touching = [one.name for one in self.instruments if getattr(one.machine, "touches", False)]
+        return tuple(name for name in touching if len(self.instrument_places[name]))
 
     @cached_property
     def sensors(self) -> tuple[Channel, ...]:

@@ -41,6 +41,7 @@ class SocketInstrument(Instrument):
     """A socket of a ball: by how much its centre is off the socket's place, along the axes of the base."""
 
     Config = SocketConfig
+    touches = True
 
     def __init__(self, config: SocketConfig) -> None:
         """Lay out the place and the ball on the tool."""

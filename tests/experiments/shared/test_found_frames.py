@@ -17,7 +17,10 @@ from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import FunctionModel, Instrument, Legs, PoseInstrument, place
+from bayescal.machines.readings.camera import CameraInstrument
+from bayescal.machines.readings.newton import touch
 from bayescal.machines.readings.placed import DistanceInstrument, PointInstrument
+from bayescal.machines.readings.planes import PlaneInstrument
 
 MECHANISM = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
 NOWHERE = (float("nan"),) * 3
@@ -64,6 +67,10 @@ def read(machine, instruments, true, rng, n=25):
     placed = place(machine, {name: one.settle(true[name]) for name, one in instruments.items()})
     half = np.where(machine.pose_scale > 1.0, 20.0, 0.15)
     pose = machine.home_pose + half * rng.uniform(-1.0, 1.0, (n, len(machine.home_pose)))
+    if placed.contacts:
+        reads = np.ones((n, len(placed.channels)), dtype=bool)
+        pose, touching = touch(placed, placed.layout.nominal, pose, reads, np.zeros(reads.shape), {})
+        assert touching.all()
     exact = placed.read(placed.layout.nominal, pose)
     sd = np.where([one.unit == "mm" for one in placed.channels], 0.02, 2e-5) * np.ones_like(exact)
     values = exact + sd * rng.standard_normal(exact.shape)
@@ -100,6 +107,24 @@ CASES = {
         PoseInstrument(PoseInstrument.Config(target_mm="found", target_deg="found")),
         {"frame": FRAME[0], "frame_r": FRAME[1], "target": np.array([30.0, 9.0, 80.0]), "target_r": -FRAME[1]},
     ),
+    **{
+        f"a camera on the {mounted}": (
+            build_legs,
+            CameraInstrument(CameraInstrument.Config(mounted=mounted)),
+            {"frame": FRAME[0], "frame_r": FRAME[1], "target": np.array([30.0, 9.0, 80.0]), "target_r": -FRAME[1]},
+        )
+        for mounted in ("base", "tool")
+    },
+    "a plane that a probe touches": (
+        build_arm,
+        PlaneInstrument(PlaneInstrument.Config(normal=[1.0, 0.0, 0.2])),
+        {"tilt": np.array([0.6, -1.1]), "offset": np.array([250.0])},
+    ),
+    "a plane that a tip off the tool touches": (
+        build_legs,
+        PlaneInstrument(PlaneInstrument.Config(target_mm="found")),
+        {"tilt": np.array([-1.1, 0.5]), "offset": np.array([-220.0]), "target": np.array([60.0, -45.0, 120.0])},
+    ),
 }
 
 
@@ -108,6 +133,9 @@ def test_what_nobody_states_is_found(case, rng):
     build, one, true = CASES[case]
     machine = build()
     readings, sd = read(machine, {"seen": one}, {"seen": true}, rng)
+    n = len(machine.channels)
+    readings.values[3::5, n:] = np.nan  # rows of another instrument, and one that was seen in part
+    readings.values[1, -1] = np.nan
     config = make_config(machine)
     found = find_frames(config, machine, {"seen": one}, readings, sd, ())
     assert set(found.wide) == {f"seen_{symbol}" for symbol in true}

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, FunctionModel, Instrument, ReadingMachine, place
+from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.machines.readings.placed import PointConfig, PointInstrument
+from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 
 SEEN = {**machine_registry.LEVEL, **machine_registry.TURNING}
 
@@ -51,6 +53,17 @@ def test_readings_are_those_of_the_tool(placed, rng):
         np.testing.assert_allclose(seen, look(name), rtol=0, atol=1e-9)
     distance = np.linalg.norm(target("bar") - at["bar_anchor"], axis=1) - at["bar_zero"][:, 0]
     np.testing.assert_allclose(found["bar"], distance, rtol=0, atol=1e-9)
+    tilted = Rotation.from_rotvec(at["bed_tilt"] @ placed.instruments[3].machine.across)
+    height = (tilted.apply(placed.instruments[3].machine.normal) * target("bed")).sum(axis=1) - at["bed_offset"][:, 0]
+    np.testing.assert_allclose(found["bed"], height, rtol=0, atol=1e-9)
+    if "eye[x]" in found:  # the board's frame through the camera's, on the tool
+        board, eye = (Rotation.from_rotvec(at[f"eye_{one}_r"]) for one in ("frame", "target"))
+        seen = (tool * eye).inv().apply(at["eye_frame"] - target("eye")) / (1.0 + at["eye_scale"])
+        np.testing.assert_allclose(
+            np.stack([found[f"eye[{axis}]"] for axis in "xyz"], axis=-1), seen, rtol=0, atol=1e-9
+        )
+        turned = Rotation.from_rotvec(np.stack([found[f"eye_r[{axis}]"] for axis in "xyz"], axis=-1))
+        assert (turned * ((tool * eye).inv() * board).inv()).magnitude().max() < 1e-12
     if "camera[x]" in found:
         seen = np.stack([found[f"camera_r[{axis}]"] for axis in "xyz"], axis=-1)
         frame, target_r = (Rotation.from_rotvec(at[f"camera_{one}_r"]) for one in ("frame", "target"))
@@ -153,3 +166,27 @@ def test_an_instrument_s_name_stands_for_its_channels():
     assert list(found.pick(found.select(["level_roll"])).select(["level"])) == [0]
     with pytest.raises(InputError, match="tilt"):
         found.select(["tilt"])
+
+
+@pytest.mark.parametrize(("where", "touches"), [([500.0, 100.0, 300.0], True), ([1500.0, 0.0, 900.0], False)])
+def test_a_tool_touches_what_is_within_its_reach(where, touches, rng):
+    model = place(FunctionModel("arm", own_arm.Arm(None)), {"ball": SocketInstrument(SocketConfig(place_mm=where))})
+    theta, start = model.layout.nominal, model.home_pose + 0.3 * rng.uniform(-1.0, 1.0, (30, 3))
+    read = share_contacts(model, 30)
+    error = 0.5 * rng.standard_normal(read.shape)
+    pose, found = touch(model, theta, start, read, error, {})
+    assert found.any() == touches
+    places = model.instrument_places["ball"]
+    np.testing.assert_allclose((model.read(theta, pose[found]) + error[found])[:, places], 0.0, atol=1e-6)
+
+
+def test_a_tool_of_a_plane_touches_nothing_beside_it(rng):
+    """Where it comes nearest is no contact."""
+    machine = machine_registry.MACHINES["lines in a plane"]()
+    x, y = (*machine.tool_values(machine.layout.nominal, machine.home_pose), 0.0)[:2]
+    for z, touches in ((0.0, True), (5.0, False)):
+        model = place(machine, {"ball": SocketInstrument(SocketConfig(place_mm=[x + 30.0, y - 20.0, z]))})
+        start = model.home_pose + rng.uniform(-50.0, 50.0, (5, 2))
+        read = share_contacts(model, 5)
+        found = touch(model, model.layout.nominal, start, read, np.zeros(read.shape), {})[1]
+        assert (found == touches).all()

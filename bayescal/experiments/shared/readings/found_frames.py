@@ -22,7 +22,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
 from bayescal.density.sampling import place_free
 from bayescal.density.schema import NormalConfig, PriorConfig
-from bayescal.errors import InputError
+from bayescal.errors import InputError, name_faults
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.workspace import build_workspace, search_starts
@@ -401,7 +401,8 @@ class _Problem:
         by_symbol = {symbol: self.stated[places] for symbol, places in layout.index.items()}
         with np.errstate(all="ignore"):
             turned = _turn(rotation)
-            proposed = self._instrument.propose(by_symbol, self.seen, position, turned)
+            with name_faults(f"instruments.{self.model.name}"):
+                proposed = self._instrument.propose(by_symbol, self.seen, position, turned)
         starts = []
         for one in proposed:
             values = self.stated.copy()

@@ -92,6 +92,8 @@ def compute_tool_uncertainty(
     unaligned, _ = learn(at.unalign())
     names, units = name_tool(variant.model)
     every = np.ones(len(variant.model.channels), dtype=bool)
+    for name in variant.model.contacts:  # of which random poses touch none
+        every[variant.model.instrument_places[name]] = False
     candidates, geometry = variant.workspace.draw(asked.next.candidates, rng), covariance[:m, :m]
     sets: list[tuple[Literal["own", "all"], np.ndarray]] = [("own", variant.internal), ("all", every)]
     tried = [

@@ -79,7 +79,9 @@ class InstrumentConfig(OwnSection):
     """An instrument beside the machine: channels and parameters, after its name, that any machine has more."""
 
     kind: Annotated[str, ClassMark("INSTRUMENTS", beside=True)]
-    """`"point"`, `"pose"`, `"distance"`, or a user-defined `file.py:Class`; its options stand beside it."""
+    """`"point"`, `"pose"`, `"camera"`, `"distance"`, `"socket"`, `"plane"`, or a user-defined `file.py:Class`; its
+    options stand beside it.
+    """
 
 
 class FreeConfig(Section):

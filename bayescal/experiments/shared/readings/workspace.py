@@ -17,6 +17,7 @@ from bayescal.errors import InputError
 from bayescal.experiments.shared.schema import UnitsConfig, WorkspaceConfig
 from bayescal.machines.readings import POSE, Given, ReadingModel
 from bayescal.machines.readings.base import draw_points
+from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
@@ -27,6 +28,8 @@ N_WORKSPACE = 200
 """How many poses stand for a workspace where a config does not say it."""
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES = 100
+ROUNDS, EACH = 5, 40  # of starts for poses that touch, in each so many for a pose
+EDGE = 1e-9  # of the half widths, by which poses may lie beyond the workspace: by rounding
 LARGEST_GRID = 81  # starts; beyond, they are drawn
 STRAIGHT = 1e-9  # of a slope, by which it may be another elsewhere
 TRIED = 150
@@ -182,6 +185,39 @@ def draw_standing(
             return pose, exact
         pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
     raise InputError("workspace: found few reachable poses, expected a smaller workspace")
+
+
+def lead_to_contact(
+    model: ReadingModel,
+    workspace: Workspace,
+    theta: Array,
+    given: Given,
+    pose: Array,
+    error: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, np.ndarray]:
+    """Return poses (P, q) at which the instruments that touch do so, and which channels are read there, bool (P, K).
+
+    They begin at some of the workspace, and at others where no way leads from there to a contact within the workspace.
+    ``error`` (P, K) are errors of the readings. InputError where few poses touch.
+    """
+    read, pose, slack = share_contacts(model, len(pose)), pose.copy(), EDGE * workspace.half
+    rows = from_rows = np.arange(len(pose))
+    start = pose
+    for _ in range(ROUNDS):
+        some = {name: value[from_rows] for name, value in given.items()}
+        with np.errstate(all="ignore"):
+            led, found = touch(model, theta, start, read[from_rows], error[from_rows], some)
+            found &= ((led >= workspace.low - slack) & (led <= workspace.high + slack)).all(axis=1)
+            found &= np.isfinite(model.read(theta, led, some)).all(axis=1)
+        there, first = np.unique(from_rows[found], return_index=True)
+        pose[there] = led[found][first]
+        if not len(rows := np.setdiff1d(rows, there)):
+            return pose, read
+        from_rows = np.repeat(rows, EACH)
+        start = workspace.draw(len(from_rows), rng)
+    name = model.contacts[rows[0] % len(model.contacts)]
+    raise InputError(f"instruments.{name}: found few poses of the workspace that touch it, expected it within reach")
 
 
 def find_starts(posterior: CalibrationPosterior, workspace: Workspace, seed: int) -> Array:
