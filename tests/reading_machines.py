@@ -262,7 +262,7 @@ class LinearModel(ReadingModel):
     def rotation(self, *_: object) -> np.ndarray:
         raise NotImplementedError
 
-    def tool(self, theta: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def tool(self, *_: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise NotImplementedError
 
 

@@ -299,7 +299,7 @@ def check_standards(calibrated: CalibratedMachine) -> str:
     if len(model.tool_channels) < len(model.coordinates):
         return f"the tool ({names}) does not determine the machine's coordinates"
     place = model.home_pose[None]
-    _, slopes, _ = model.tool(calibrated.theta, place)
+    _, slopes, _ = model.tool(calibrated.theta, place, False)
     if np.linalg.matrix_rank(slopes[0, calibrated.lengths] * model.pose_scale) < n or np.linalg.matrix_rank(
         slopes[0] * model.pose_scale
     ) < len(model.tool_channels):

@@ -50,7 +50,7 @@ class _Controller:
 
     def move(self, pose: Array, error: Array) -> Array:
         """Return coordinates (P, q) at which the nominal tool is elsewhere by errors (P, m), to first order."""
-        tool, slopes, _ = self.drawn.tool(self.drawn.layout.nominal, pose)
+        tool, slopes, _ = self.drawn.tool(self.drawn.layout.nominal, pose, False)
         slopes = self.calibrated.comparison.pull_back(np.zeros_like(tool), tool, slopes)
         return pose + (np.linalg.pinv(np.nan_to_num(slopes)) @ error[..., None])[..., 0]
 

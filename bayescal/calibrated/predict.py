@@ -415,7 +415,7 @@ def place_tool(calibrated: CalibratedMachine, wanted: Array) -> tuple[Array, np.
 
     def miss(pose: Array, rows: np.ndarray) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
-            values, slope, _ = model.tool(theta, pose)
+            values, slope, _ = model.tool(theta, pose, False)
             error = comparison.subtract(wanted[rows], values)
             return error, comparison.pull_back(error, values, slope)
 

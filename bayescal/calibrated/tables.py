@@ -142,7 +142,7 @@ def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
     model = calibrated.model
     pose, tool = read_quantities(table, model.pose_channels), read_quantities(table, model.tool_channels, TOOL)
     with np.errstate(all="ignore"):
-        own, by_pose, _ = model.tool(calibrated.theta, pose)
+        own, by_pose, _ = model.tool(calibrated.theta, pose, False)
         off = np.abs(calibrated.comparison.subtract(tool, own))
         least = MAX_TOOL_MISMATCH * np.abs(by_pose * model.pose_scale).sum(axis=-1)
     for k, m in np.argwhere(~(off <= least))[:1]:

@@ -235,7 +235,7 @@ def _find_levers(
     units, levers = [model.channels[k].unit for k in places], np.zeros(len(places))
     if model.tool_lengths and len(model.coordinates) and len(places):
         theta, scale = model.layout.nominal, model.pose_scale
-        by_pose = model.tool(theta, pose)[1][:, model.tool_lengths] * scale
+        by_pose = model.tool(theta, pose, False)[1][:, model.tool_lengths] * scale
         own = model.linearise(theta, pose, False, data.given).by_pose[:, places] * scale / reach[:, None]
         good = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(own).all(axis=(1, 2))
         if good.any():

@@ -292,7 +292,7 @@ def _measure_at_tool(search: SlipSearch, fit: CauseFit) -> Array | None:
     y, _, _ = fit.weigher.solve(fit.zeta)
     theta = readings.posterior.theta(np.append(y, np.zeros_like(fit.zeta))[None])[0]
     with np.errstate(all="ignore"):
-        by_pose = model.tool(theta, pose)[1] * model.pose_scale
+        by_pose = model.tool(theta, pose, False)[1] * model.pose_scale
         moved = model.linearise(theta, pose, False, data.given).by_pose[:, own] * model.pose_scale
     good = np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(moved).all(axis=(1, 2))
     if not good.any() or not len(own) or not by_pose.shape[2]:

@@ -514,7 +514,7 @@ def _find_frames(readings: VariantReadings, pose: Array) -> dict[str, Array]:
     theta = readings.posterior.theta(readings.posterior.begin)
     own = theta[: bare.whole.layout.size]
     with np.errstate(all="ignore"):
-        tool, by_pose, _ = bare._linearise_tool(own, pose)
+        tool, by_pose, _ = bare.linearise_tool(own, pose, False)
         read = whole.linearise(theta, pose, False, likelihood.data.given)
     seen = likelihood.comparison.pull_back(np.zeros_like(read.values), read.values, read.by_pose)
     seen = np.where(external[:, None], seen, 0.0)

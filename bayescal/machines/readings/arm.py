@@ -357,7 +357,9 @@ class Arm(ReadingMachine):
         base = np.zeros((*origins.shape[:-2], 1, 3))
         return np.concatenate([base, origins], axis=-2), [(k, k + 1) for k in range(origins.shape[-2])]
 
-    def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]]:
+    def tool_slopes(
+        self, parameters: Parameters, v: np.ndarray, with_parameters: bool
+    ) -> tuple[Array, Mapping[str, Array]]:
         """Return how the tip moves by the coordinates, (..., 6, n), and by parameters: a screw of each."""
         at = self._follow(parameters, v)
         n = len(self.chain.joints)
@@ -377,6 +379,8 @@ class Arm(ReadingMachine):
         own = at["axes"][..., :n, :, 2]
         by_pose = np.where(self.slides[:, None], slide(own), screw(own, reach))
         by = dict[str, Array]()
+        if not with_parameters:
+            return np.swapaxes(by_pose, -1, -2), by
         # Exp(φ + dφ) = Exp(Jl dφ) Exp(φ), in the axes as drawn
         bent = at["drawn"][..., :n, :, :] @ compute_left_jacobian(at["turns"])
         # a slide comes after its joint's error, which turns it: the arm reaches from the joint's origin all the same

@@ -479,7 +479,7 @@ class ReadingModel(ABC):
         return None
 
     @abstractmethod
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return what has to be accurate, where the tool's centre is for example, and what moves it.
 
         Returns
@@ -488,11 +488,12 @@ class ReadingModel(ABC):
             In the units of `tool_channels`.
         by_pose : ndarray, shape (..., m, q)
         by_parameters : ndarray, shape (..., m, D)
+            Empty where it is not asked for.
         """
 
     def tool_values(self, theta: Array, pose: Array) -> Array:
         """Return the tool's m numbers alone; see `tool`."""
-        return self.tool(theta, pose)[0]
+        return self.tool(theta, pose, False)[0]
 
     # --- commands --------------------------------------------------------------------------------------------------
 

@@ -78,7 +78,7 @@ def check_tool(model: FunctionModel) -> None:
     theta, pose, _ = draw_points(model, POINTS)
     expected = f"numbers {_describe_shapes(model, theta, pose, NO_CONDITIONS)}"
     found, _, _ = _call(where, expected, lambda: model.tool(theta, pose))
-    if machine.tool_slopes(Parameters(model.layout, theta), pose) is not None:
+    if machine.tool_slopes(Parameters(model.layout, theta), pose, True) is not None:
         closed, stepped = model.tool(theta, pose)[1:], model.step_tool(theta, pose)[1:]
         for what, given, exact in zip(("v", "parameters"), closed, stepped, strict=True):
             size = float(np.max(np.abs(exact), initial=1.0, where=np.isfinite(exact)))
@@ -316,13 +316,15 @@ class ReadingMachine(ABC):
         del parameters, v
         return None
 
-    def tool_slopes(self, parameters: Parameters, v: np.ndarray) -> tuple[Array, Mapping[str, Array]] | None:
+    def tool_slopes(
+        self, parameters: Parameters, v: np.ndarray, with_parameters: bool
+    ) -> tuple[Array, Mapping[str, Array]] | None:
         """Return derivatives of `tool` in closed form: ∂/∂v (..., m, q), and by symbol (..., m, n) or (..., m).
 
-        None by default, where complex steps do; parameters that do not move the tool are left out. Checked against
-        complex steps when the machine is read.
+        None by default, where complex steps do; parameters that do not move the tool are left out, and all of them may
+        be where they are not asked for. Checked against complex steps when the machine is read.
         """
-        del parameters, v
+        del parameters, v, with_parameters
         return None
 
     def outline(self, parameters: Parameters, v: np.ndarray) -> tuple[np.ndarray, Sequence[tuple[int, int]]] | None:
@@ -572,13 +574,15 @@ class FunctionModel(ReadingModel):
 
     # --- what has to be accurate -----------------------------------------------------------------------------------
 
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return what has to be accurate and what moves it; see `ReadingModel.tool`."""
-        closed = self.machine.tool_slopes(Parameters(self.layout, theta), pose)
+        closed = self.machine.tool_slopes(Parameters(self.layout, theta), pose, with_parameters)
         if closed is None:
-            return self.step_tool(theta, pose)
+            return self.step_tool(theta, pose, with_parameters)
         values = self.tool_values(theta, pose)
         by_pose, by = np.broadcast_to(closed[0], (*values.shape, len(self.coordinates))), closed[1]
+        if not with_parameters:
+            return values, by_pose, np.empty(0)
         by_parameters = np.zeros((*values.shape, self.layout.size))
         for symbol, slopes in by.items():
             places = self.layout.index[symbol]
@@ -589,14 +593,15 @@ class FunctionModel(ReadingModel):
         """Return position and axes of the tool where the machine has them; see `ReadingMachine.place_tool`."""
         return self.machine.place_tool(Parameters(self.layout, theta), pose)
 
-    def step_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def step_tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return the same by complex steps."""
-        n, every = self.layout.size, np.eye(self.layout.size + len(self.coordinates))
+        n, q = (self.layout.size if with_parameters else 0), len(self.coordinates)
+        every = np.eye(self.layout.size + q)[-(n + q) :]
         found = self._step(lambda d, v: self.machine.tool(Parameters(self.layout, d), v), theta, pose, every)
         shape = np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1])
         found = np.broadcast_to(found, (len(every), *shape, found.shape[-1]))
         slopes = np.moveaxis(found.imag / COMPLEX_STEP, 0, -1)
-        return found[0].real, slopes[..., n:], slopes[..., :n]
+        return found[0].real, slopes[..., n:], slopes[..., :n] if with_parameters else np.empty(0)
 
     def tool_values(self, theta: Array, pose: Array) -> Array:
         """Return what has to be accurate; see `ReadingModel.tool_values`."""

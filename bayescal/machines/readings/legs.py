@@ -327,14 +327,14 @@ class Legs(ReadingModel):
         place = pose if self.tool_point is None else pose[..., :3] + self.rotation(pose) @ self.tool_point
         return np.broadcast_to(place, (*np.broadcast_shapes(theta.shape[:-1], pose.shape[:-1]), place.shape[-1]))
 
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return the same with what moves it; see `ReadingModel.tool`. No parameter does."""
         place = self.tool_values(theta, pose)
         by_pose = np.zeros((*place.shape, len(POSE)))
         by_pose[...] = np.eye(place.shape[-1], len(POSE))
         if self.tool_point is not None:
             by_pose[..., 3:] = -skew_matrix(place - pose[..., :3]) @ compute_left_jacobian(pose[..., 3:])
-        return place, by_pose, np.zeros((*place.shape, self.layout.size))
+        return place, by_pose, np.zeros((*place.shape, self.layout.size)) if with_parameters else np.empty(0)
 
     def near(self, values: Array) -> Legs:
         """Return the same legs with inverse kinematics that start where encoders were read."""

@@ -449,19 +449,22 @@ class InstrumentedMachine(ReadingModel):
             found[..., 3:] = rotation_vector(self.rotation_in_space(pose))
         return np.where(np.isfinite(pose).all(axis=-1, keepdims=True), found, np.nan)
 
-    def _linearise_tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def linearise_tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return position and rotation vector (..., 6) with their derivatives, by the pose and by the parameters."""
-        numbers, *slopes = self.whole.tool(theta, pose)
+        numbers, *slopes = self.whole.tool(theta, pose, with_parameters)
         tool, places = self._place_tool(numbers, pose), self.tool_lengths + self.tool_turned
         rows = [*range(len(self.tool_lengths)), *range(3, 3 + len(self.tool_turned))]
-        by_pose, by_parameters = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
-        by_pose[..., rows, :], by_parameters[..., rows, :] = (one[..., places, :] for one in slopes)
+        if not with_parameters:
+            slopes.pop()
+        by_pose, *more = (np.zeros((*tool.shape, one.shape[-1])) for one in slopes)
+        for every, one in zip((by_pose, *more), slopes, strict=True):
+            every[..., rows, :] = one[..., places, :]
         if self.tells_rotation and not self.tool_turned:
             turned = rotation_vector(
                 self.rotation_in_space(pose[..., None, :] + 1j * COMPLEX_STEP * np.eye(pose.shape[-1]))
             )
             by_pose[..., 3:, :] = np.swapaxes(turned.imag, -1, -2) / COMPLEX_STEP
-        return tool, by_pose, by_parameters
+        return tool, by_pose, more[0] if more else np.empty(0)
 
     def _names_of_instrument(self, name: str) -> set[str]:
         return {f"{name}_{own}" for one in self.instruments if one.name == name for own in one.names} & set(self.names)
@@ -512,7 +515,7 @@ class InstrumentedMachine(ReadingModel):
             by_parameters[..., :row, :column] = here.by_parameters
         if row == len(self.channels):
             return Readings(values, by_pose, by_parameters)
-        tool, tool_by_pose, tool_by_parameters = self._linearise_tool(own, pose)
+        tool, tool_by_pose, tool_by_parameters = self.linearise_tool(own, pose, with_parameters)
         for one, some in zip(self.instruments, others, strict=True):
             seen, rows = one.linearise(some, tool, with_parameters), slice(row, row + len(one.channels))
             values[..., rows], by_pose[..., rows, :] = seen.values, seen.by_pose @ tool_by_pose
@@ -531,10 +534,12 @@ class InstrumentedMachine(ReadingModel):
         result[..., : own.shape[-1], : own.shape[-1]] = own
         return result
 
-    def tool(self, theta: Array, pose: Array) -> tuple[Array, Array, Array]:
+    def tool(self, theta: Array, pose: Array, with_parameters: bool = True) -> tuple[Array, Array, Array]:
         """Return the machine's tool, which no instrument moves."""
         own, *others = self._split(theta)
-        position, by_pose, by_parameters = self.whole.tool(own, pose)
+        position, by_pose, by_parameters = self.whole.tool(own, pose, with_parameters)
+        if not with_parameters:
+            return position, by_pose, by_parameters
         nothing = np.zeros((*by_parameters.shape[:-1], sum(one.shape[-1] for one in others)))
         return position, by_pose, np.concatenate([by_parameters, nothing], axis=-1)
 

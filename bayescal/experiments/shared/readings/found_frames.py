@@ -320,7 +320,7 @@ def _spread(placed: InstrumentedMachine, theta: Array, sd: Array, located: _Loca
     there = np.isfinite(located.pose).all(axis=1)
     pose, (slope, by_parameters) = located.pose[there], (one[there] for one in located.slopes)
     with np.errstate(all="ignore"):
-        _, by_pose, direct = placed._linearise_tool(theta[: len(sd)], pose)
+        _, by_pose, direct = placed.linearise_tool(theta[: len(sd)], pose)
         moves = direct - by_pose @ invert(slope, 0.0) @ by_parameters
     variance = np.nansum((moves * sd) ** 2, axis=-1)
     return float(np.sqrt(np.nanmean(variance[:, :3]))), float(np.sqrt(np.nanmean(variance[:, 3:])))
