@@ -22,14 +22,10 @@ def report(
 ) -> None:
     """Write the page of a results directory again, from its files alone."""
     del trust
-    from joblib import cpu_count
-
-    from bayescal.experiments.runner.engine import stop_workers
     from bayescal.experiments.runner.run import write_report
 
     with overlooking(allow_changed_files):
-        echo(f"wrote {write_report(results, workers=cpu_count())}")
-    stop_workers()
+        echo(f"wrote {write_report(results)}")
 
 
 @app.command(epilog="Example: bayescal show experiments/audit/m2_hexapod_mechanism.toml --out m2.html")

@@ -58,7 +58,7 @@ class Processes(Engine):
             return ((name, run_guarded(function, shared, task, self.workers)) for name, task in tasks.items())
         threads = max(1, self.workers // len(tasks))
         calls = [(name, (run_guarded, function, shared, task, threads)) for name, task in tasks.items()]
-        return _name_kill(_call_in_workers(self.workers, calls), "; go on with --resume")
+        return _name_kill(_call_in_workers(self.workers, calls))
 
 
 def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = True) -> AbstractContextManager[Engine]:
@@ -74,11 +74,12 @@ def open_engine(workers: int = 1, scheduler: str | None = None, quiet: bool = Tr
     return connect(scheduler, quiet)
 
 
-def _name_kill[R](outcomes: Iterator[R], advice: str = "") -> Iterator[R]:
+def _name_kill[R](outcomes: Iterator[R]) -> Iterator[R]:
     try:
         yield from outcomes
     except TerminatedWorkerError as error:
-        raise NumericalError(f"a worker was killed, perhaps for want of memory{advice}") from error
+        said = "a worker was killed, perhaps for want of memory; go on with --resume"
+        raise NumericalError(said) from error
 
 
 @contextmanager
@@ -115,14 +116,6 @@ def import_all(modules: Iterable[str]) -> None:
     for module in modules:
         with suppress(Exception):  # whoever needs it says so
             import_module(module)
-
-
-def call_side_by_side[R](workers: int, calls: Mapping[str, Callable[[], R]]) -> dict[str, R]:
-    """Return what calls give, by their names and in their order, as they are; what one raises is raised here."""
-    if workers == 1 or len(calls) < 2:
-        return {name: call() for name, call in calls.items()}
-    found = dict(_name_kill(_call_in_workers(workers, [(name, (call,)) for name, call in calls.items()])))
-    return {name: found[name] for name in calls}
 
 
 def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Generator[tuple[str, Any]]:

@@ -21,7 +21,7 @@ from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import trusting
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError, name_faults
 from bayescal.experiments.runner.blocks import PageBlock, add_blocks, find_blocks, find_kept
-from bayescal.experiments.runner.engine import Processes, call_side_by_side, import_all, open_engine, start_ahead
+from bayescal.experiments.runner.engine import Processes, import_all, open_engine, start_ahead
 from bayescal.experiments.runner.identity import describe_provenance, identify
 from bayescal.experiments.runner.interrupts import hold_lock
 from bayescal.experiments.runner.kept_inputs import CONFIG_FILE, keep_inputs
@@ -59,7 +59,6 @@ FOUND_LATE = "detected during the run"
 THE_PAGE = "the page"
 SHORT = 12.0  # s of one core, up to which other processes take longer to start than they save
 LONG, LARGE = 60.0, 1.0  # s and GiB beside processes' own, from which on a run says what it takes before it begins
-MANY_PICTURES = 64  # fewer are drawn before other processes have started, at half of their CPU time
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +166,7 @@ def run_experiment(
             provenance = {**describe_provenance(config, identity), CONFIG_FILE: place_of_config}
             results = replace(results, files={**results.files, **kept}, provenance=provenance)
             place = MemoryPath(config.name) if store is None else store.stage()
-            page = _write(experiment, admitted.blocks, results, place, workers)
+            page = _write(experiment, admitted.blocks, results, place)
             if store is not None:
                 store.publish()
     where = place if out is None else out
@@ -299,9 +298,7 @@ def _ask(question: Callable[[object], list[str]], inputs: object) -> list[str]:
 
 
 @collect_seldom()
-def _write(
-    experiment: AnyExperiment, blocks: Sequence[PageBlock], results: Results, folder: Path, workers: int
-) -> Page:
+def _write(experiment: AnyExperiment, blocks: Sequence[PageBlock], results: Results, folder: Path) -> Page:
     """Write results and page into an empty directory; the page is made from what was written."""
     summary = {**results.summary, "config_sha256": results.provenance["config_sha256"]}
     results = replace(results, provenance={**results.provenance, MANIFEST_KEY: MANIFEST})
@@ -310,7 +307,7 @@ def _write(
     with note_losses() as losses:
         page = attempt(THE_PAGE, lambda: _build_page(experiment, written), None)
         page = _make_empty_page(results) if page is None else page
-    page, more = _write_page(page, blocks, written, folder, losses, workers)
+    page, more = _write_page(page, blocks, written, folder, losses)
     write_table(FindingRow.table, tabulate_findings(page.verdict), folder, experiment.tables_in)
     lost = [*list_losses(summary), *losses, *more]
     summary |= {LOST_PARTS: record_losses(lost)} if lost else {}
@@ -339,7 +336,6 @@ def _write_page(
     results: Results,
     folder: Path,
     losses: Sequence[Loss],
-    workers: int,
 ) -> tuple[Page, list[Loss]]:
     """Write a page and what user-defined blocks show; return it and what could not be shown besides ``losses``."""
     with note_losses() as lost:
@@ -349,12 +345,10 @@ def _write_page(
     earlier = list_written(folder)
     if earlier is None:  # new ones: all figures are its own
         earlier = [path.relative_to(folder).as_posix() for path in folder.glob("figures/*.png")]
-    many = sum(1 for _ in page.figures()) >= MANY_PICTURES
     not_drawn: list[Loss] = []
 
     def render(calls: Mapping[str, Callable[[], Picture]]) -> dict[str, Picture]:
-        spared = {name: partial(_draw, f"figure {name!r}", call) for name, call in calls.items()}
-        drawn = call_side_by_side(workers if many else 1, spared)
+        drawn = {name: _draw(f"figure {name!r}", call) for name, call in calls.items()}
         not_drawn.extend(loss for _, loss in drawn.values() if loss is not None)
         return {name: picture for name, (picture, _) in drawn.items()}
 
@@ -369,8 +363,8 @@ def _draw(what: str, draw: Callable[[], Picture]) -> tuple[Picture, Loss | None]
 
 
 @collect_seldom()
-def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
-    """Write the page of a results directory again, from its files alone, many pictures side by side.
+def write_report(folder: Path, trust: bool = False) -> Path:
+    """Write the page of a results directory again, from its files alone.
 
     With ``trust`` the code of a kind that is not built in, which results keep, is run though nobody has trusted it.
     InputError where a file is missing or not what an experiment of its kind writes, and for code that nobody has
@@ -389,7 +383,7 @@ def write_report(folder: Path, trust: bool = False, workers: int = 1) -> Path:
         for one in losses:
             if one.what not in {other.what for other in known}:  # a run would have told it
                 raise ValueError(one.say())
-        _write_page(page, blocks, results, folder, losses, workers)
+        _write_page(page, blocks, results, folder, losses)
         renew_manifest(folder, is_of_page)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError, AssertionError) as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -7,18 +7,14 @@ import multiprocessing
 import os
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure as Drawing
 
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments.runner.engine import Processes, call_side_by_side, start_ahead, stop_workers
+from bayescal.experiments.runner.engine import Processes, start_ahead, stop_workers
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.store import Store
-from bayescal.report.blocks import Figure, Page, PageSection
-from bayescal.report.page import write_page
 
 pytestmark = pytest.mark.runs
 
@@ -33,7 +29,7 @@ def _alone():
     stop_workers()
 
 
-def has_imported(module: str) -> tuple[int, bool]:
+def has_imported(module: str, _: str) -> tuple[int, bool]:
     """Return which process this is and whether it knows a module."""
     time.sleep(0.3)  # the other one answers, too
     return os.getpid(), module in sys.modules
@@ -43,8 +39,7 @@ def test_workers_that_start_ahead_have_imported_what_tasks_need():
     with start_ahead(2, ("bayescal.no_module", MODULE)) as await_workers:
         assert len(multiprocessing.active_children()) == 2
         await_workers()
-    calls = {name: partial(has_imported, MODULE) for name in "abcd"}
-    found = call_side_by_side(2, calls)
+    found = Run(Processes(2)).map("modules", has_imported, MODULE, {name: name for name in "abcd"})
     assert all(known for _, known in found.values())
     assert os.getpid() not in {process for process, _ in found.values()}
 
@@ -65,7 +60,7 @@ def test_none_starts_for_one_process_or_unknown_tasks(workers, modules):
 
 
 def test_workers_end_when_the_program_does():
-    call_side_by_side(2, {"a": os.getpid, "b": os.getpid})
+    Run(Processes(2)).map("modules", has_imported, MODULE, {"a": "a", "b": "b"})
     assert multiprocessing.active_children()
     stop_workers()
     assert not multiprocessing.active_children()
@@ -108,7 +103,7 @@ def test_what_nobody_waits_for_is_cancelled_without_a_word(tmp_path):
         time.sleep(0.05)
     del wait
     gc.collect()
-    assert call_side_by_side(2, {"a": partial(str, 1), "b": partial(str, 2)}) == {"a": "1", "b": "2"}
+    assert Run(Processes(2)).map("squares", touch, tmp_path, {"a": 1, "b": 2}) == {"a": 1, "b": 4}
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -116,37 +111,3 @@ def test_what_fails_is_told_when_it_is_waited_for(tmp_path, workers):
     wait = Run(Processes(workers)).begin("squares", touch, tmp_path, {"a": 1, "b": 3})
     with pytest.raises(NumericalError, match=r"^b: too large"):
         wait()
-
-
-def draw(n: int) -> Drawing:
-    """Return a figure with a line to n."""
-    drawing = Drawing(figsize=(4.5, 1.0))
-    for panel in drawing.subplots(1, 2):
-        panel.plot([0.0, 1.0], [0.0, n])
-    return drawing
-
-
-def fail() -> None:
-    """Raise what is the user's fault."""
-    raise InputError("found nothing")
-
-
-def test_a_page_is_the_same_however_many_processes_draw_it(tmp_path):
-    figures = tuple(Figure(f"f{n}", f"line to {n}", partial(draw, n)) for n in range(5))
-    page = Page("Kind", "a", "b", "c", "d", (), (PageSection("Lines", figures),), ())
-    for n in (1, 2):
-        (tmp_path / str(n)).mkdir()
-    one, two = (write_page(page, tmp_path / str(n), render=partial(call_side_by_side, n)) for n in (1, 2))
-    assert one.read_bytes() == two.read_bytes()
-    drawn = sorted((tmp_path / "1" / "figures").iterdir())
-    assert [path.name for path in drawn] == [f"f{n}.png" for n in range(5)]
-    for path in drawn:
-        assert path.read_bytes() == (tmp_path / "2" / "figures" / path.name).read_bytes()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_calls_keep_their_names_and_order_and_raise_what_they_raise(workers):
-    calls = {name: partial(str.upper, name) for name in "cab"}
-    assert list(call_side_by_side(workers, calls).items()) == [("c", "C"), ("a", "A"), ("b", "B")]
-    with pytest.raises(InputError, match=r"^found nothing$"):
-        call_side_by_side(workers, {"good": partial(str, 1), "bad": fail})
