@@ -86,9 +86,19 @@ class Chain:
     tip: Place
 
     @property
-    def length(self) -> float:
-        """From joint to joint and to the tip, mm."""
-        return sum(float(np.linalg.norm(one.position)) for one in (*(it.place for it in self.joints), self.tip))
+    def reach(self) -> float:
+        """From the base to the tip, mm, the farther of two: all joints at zero, and turned by a radian.
+
+        Links are longer where axes are nearly parallel: rows of these go far along one and back along the other.
+        """
+        found = []
+        for turn in (Rotation.identity(), Rotation.from_rotvec([0.0, 0.0, 1.0])):
+            position, axes = np.zeros(3), np.eye(3)
+            for joint in self.joints:
+                position, axes = position + axes @ joint.place.position, axes @ joint.place.axes
+                axes = axes if joint.slides else axes @ turn.as_matrix()
+            found.append(np.linalg.norm(position + axes @ self.tip.position))
+        return float(max(found))
 
 
 @dataclass(frozen=True)
@@ -251,8 +261,8 @@ def read_urdf(path: Path, base: str = "", tip: str = "") -> Chain:
         chosen.insert(0, into[here])
         here = _name_link(path, into[here], "parent")
     chain = _make_chain(path, chosen, links)
-    if chain.length > FURTHEST:
-        raise InputError(f"{path}: found an arm of {chain.length / MM:.0f} m, expected lengths in metres")
+    if chain.reach > FURTHEST:
+        raise InputError(f"{path}: found an arm of {chain.reach / MM:.0f} m, expected lengths in metres")
     return chain
 
 

@@ -119,8 +119,8 @@ class ArmConfig(Section):
             if self.base or self.tip:
                 raise ValueError("found base or tip beside joints, expected them beside urdf")
             self._chain = self._chain_rows()
-            if self._chain.length > FURTHEST:
-                raise ValueError(f"found an arm of {self._chain.length / 1e3:.0f} m, expected lengths in mm")
+            if self._chain.reach > FURTHEST:
+                raise ValueError(f"found an arm of {self._chain.reach / 1e3:.0f} m, expected lengths in mm")
         if not any(self.down):
             raise ValueError("down: found a zero vector, expected a direction")
         n, names = len(self._chain.joints), [one.name for one in self._chain.joints]
