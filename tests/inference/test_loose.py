@@ -94,6 +94,12 @@ def test_a_proposal_follows_the_arc_without_a_pilot(arc):
     assert found.straight.loose is not None
 
 
+def test_many_loose_directions_are_followed_all_at_once():
+    found = explore(bend(5, 20, size=0.5), np.random.SeedSequence(1), 64, max_pilots=0)
+    assert found.efficiency > 0.8
+    assert found.straight.loose.bent.shape == (20 * 21 // 2, 5)
+
+
 def test_shear_is_a_bijection_of_unit_volume(arc):
     mode = find_modes(arc)[0]
     straight = replace(straighten(arc, mode), loose=fit_loose_shear(arc, mode.y))
