@@ -490,9 +490,10 @@ def run(share: float, workers: int, minutes: float) -> tuple[dict[str, Counter[i
 DOCUMENT = """# Hostile files and disturbed runs
 
 What happens to bad input and broken runs? `make hostile` changes configs, tables and results of every kind, disturbs
-runs, and draws machines with their studies and data; every case follows from its number. Each call has to end with exit
-code 0, 2 or 3 and one line per fault, never with a traceback; after exit code 2 nothing has changed on the disk, nothing
-ever changes outside `--out`, and results there are whole. `validate` refuses what `run` does, with the same line.
+runs, and draws machines with their studies and data; every case follows from its number. Each call has to end with
+exit code 0, 2 or 3 and one line per fault, never with a traceback; after exit code 2 nothing has changed on the disk,
+nothing ever changes outside `--out`, and results there are whole. `validate` refuses what `run` does, with the same
+line.
 
 Drawn machines have 0 to 6 coordinates, 1 to 12 channels of any unit, 1 to 60 rows, some with gaps; among them are
 singular and mirrored ones, and slips in their data. A call ends within {seconds} s of the processor.

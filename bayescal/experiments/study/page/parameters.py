@@ -42,6 +42,7 @@ from bayescal.report.symbols import (
 )
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
+ESTIMATE = "posterior mean ± sd"
 CONTRACTION = "A contraction of 0.75 halves the uncertainty."
 VERDICTS = {
     "identifiable": "uncertainty at least halved",
@@ -189,11 +190,15 @@ def state_agreement(study: StudyResults) -> list[Statement]:
 
 
 def tabulate_parameters(study: StudyResults, variant: str) -> Table:
-    """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg."""
+    """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg.
+
+    Without least squares the caption says what all rows are: on a telephone a column of it leaves no room for numbers.
+    """
     posterior = study.geometry[study.geometry["variant"] == variant]
     found = study.table("least_squares", variant)
     legs = sorted({*posterior["leg"], *found["leg"]} - {0}) or [1]
-    columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
+    columns = [Column("", kind="symbol"), Column("Unit", kind="text")]
+    columns += [] if found.empty else [Column("", kind="text")]
     columns += [Column(f"{study.member} {leg}") for leg in legs]
     rows = []
     for symbol, chosen in posterior.groupby("symbol", sort=False):
@@ -201,8 +206,12 @@ def tabulate_parameters(study: StudyResults, variant: str) -> Table:
         lines = _list_lines(chosen, found[found["parameter"] == symbol], legs, factor)
         for k, (label, cells) in enumerate(lines):
             span = len(lines) if k == 0 else 0
-            rows.append([Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label), *(Cell(c) for c in cells)])
-    caption = f"{_title(study, variant)}: offsets from nominal."
+            head = [Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label)]
+            if found.empty:
+                head = [head[0], Cell(f"{unit}{label.removeprefix(ESTIMATE)}", span=span)]
+            rows.append([*head, *(Cell(one) for one in cells)])
+    what = f"offsets from nominal{f', {ESTIMATE}' if found.empty else ''}"
+    caption = f"{_title(study, variant)}: {what}."
     return make_table(caption, columns, rows, _state_fit(study, variant, found), "long")
 
 
@@ -221,7 +230,7 @@ def _list_lines(
         legs[0] if single else leg: format_estimate(factor * (mean - nominal), factor * sd, places, sign=True)
         for leg, mean, nominal, sd in posterior[["leg", "mean", "nominal", "sd"]].itertuples(index=False)
     }
-    lines = [("posterior mean ± sd" + (" (machine)" if single else ""), [estimates.get(leg, NO_VALUE) for leg in legs])]
+    lines = [(ESTIMATE + (" (machine)" if single else ""), [estimates.get(leg, NO_VALUE) for leg in legs])]
     for label, column in (
         ("least squares", "offset"),
         ("published", "published_offset"),
