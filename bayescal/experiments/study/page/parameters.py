@@ -56,6 +56,7 @@ ODD = 0.25  # of the other models' values, below which a published row looks mis
 MISPRINT = 10.0
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 PANELS_OF_THREE_FROM = 8  # symbols from which the panels are three in a row
+WIDEST_BAND = 100.0  # a prior's half width over what posteriors reach from which on a panel is all shaded
 MOST_NAMED = 25  # parameters with a name each below an axis, legible on a telephone too
 
 
@@ -304,7 +305,7 @@ def _draw_parameters(
         chosen = rows[rows["symbol"] == symbol]
         there = {name: style for name, style in styles.items() if name in set(chosen["variant"])}
         factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]), asked)
-        widths = factor * PRIOR_90 * chosen.groupby("leg")["prior_sd"].max()  # far wider than posteriors: all shaded
+        widths = factor * PRIOR_90 * chosen.groupby("leg")["prior_sd"].max()
         axes.bar(widths.index, 2 * widths, 0.9, -widths, color=PALE, alpha=0.55, linewidth=0)
         draw_intervals(axes, chosen, there, factor)
         single = set(chosen["leg"]) == {0}
@@ -313,6 +314,9 @@ def _draw_parameters(
             leg = (0.0 if single else known["leg"].to_numpy()) + np.full(len(known), _shift(k, len(there)))
             offset = factor * known["published_offset"].to_numpy()
             axes.plot(leg, offset, linestyle="none", marker="x", markersize=4.5, color=INK, markeredgewidth=0.9)
+        reach = factor * float(chosen[["q05", "q95"]].sub(chosen["nominal"], axis=0).abs().to_numpy().max())
+        if widths.max() > WIDEST_BAND * reach > 0.0:
+            axes.set_ylim(-1.15 * reach, 1.15 * reach)
         axes.axhline(0, color=INK, linewidth=0.8)
         axes.set_ylabel(f"{set_mathematics(symbol, 'Δ')} ({unit})")
         label_members(axes, chosen, member)
