@@ -23,6 +23,8 @@ napoleon_google_docstring = False
 suppress_warnings = ["myst.header"]
 
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["pictures.css"]
 html_title = f"bayescal {release}"
 html_math_renderer = "mathml"
 html_show_sphinx = False

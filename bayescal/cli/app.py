@@ -87,6 +87,15 @@ def echo(text: str, nl: bool = True, err: bool = False) -> None:
     typer.echo(make_plain(text, but="\n\t"), nl=nl, err=err)
 
 
+def print_sentence(text: str) -> None:
+    """Print a text on standard output, on a terminal with lines that end between words."""
+    console = make_console()
+    if console.is_terminal:
+        console.print(text)
+    else:
+        echo(text)
+
+
 def _say(line: str) -> None:
     echo(f"bayescal: {line}", err=True)
 

@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from bayescal.cli.app import AllowChangedFiles, AllowUnconverged, Trust, app, check_out, echo, put, spread_options
+from bayescal.cli.app import (
+    AllowChangedFiles,
+    AllowUnconverged,
+    Trust,
+    app,
+    check_out,
+    echo,
+    print_sentence,
+    put,
+    spread_options,
+)
 from bayescal.errors import InputError, name_faults
 from bayescal.limits import LARGEST_SEED
 
@@ -86,7 +96,7 @@ def export(
     for path in written:
         echo(f"wrote {path}")
     for line in describe_carried(written):
-        echo(line)
+        print_sentence(line)
     _tell_missing(results, calibrated)
 
 
@@ -195,7 +205,7 @@ def certificate(
     region = _read_region(calibrated, position_mm, rotation_deg, full_range)
     wishes = CertificateOptions(coverage, poses, cube_mm=cube, seed=seed, region=region, full_range=full_range)
     found = certify(calibrated, results, wishes)
-    echo(state_headline(found))
+    print_sentence(state_headline(found))
     page = build_certificate(found)
     pictures = {figure.name: render_picture(figure.draw) for figure in page.figures() if figure.draw is not None}
     put(render_page(page, pictures), where)
@@ -329,7 +339,7 @@ def verify(
     sentence = describe_plan(plan)
     put(format_plan(calibrated, plan, sentence), out)
     if out is not None:
-        echo(sentence)
+        print_sentence(sentence)
 
 
 def _demand(

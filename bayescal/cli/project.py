@@ -9,7 +9,18 @@ from typing import Annotated
 import typer
 from rich.padding import Padding
 
-from bayescal.cli.app import WIDE, AllowChangedFiles, Experiment, NoCustomCode, Trust, app, echo, make_console, put
+from bayescal.cli.app import (
+    WIDE,
+    AllowChangedFiles,
+    Experiment,
+    NoCustomCode,
+    Trust,
+    app,
+    echo,
+    make_console,
+    print_sentence,
+    put,
+)
 from bayescal.errors import InputError
 from bayescal.files.manifest import MANIFEST, overlooking
 
@@ -67,23 +78,23 @@ def validate(experiment: Experiment, no_custom_code: NoCustomCode = False, trust
 
     config, found = check_file(experiment)
     state = "readable, but suspect" if found.suspicions else "fit to run"
-    echo(f"{experiment}: {state}, {add_article(config.kind)} {config.name!r} ({config.title})")
+    print_sentence(f"{experiment}: {state}, {add_article(config.kind)} {config.name!r} ({config.title})")
     for doubt in (*found.suspicions, *found.doubts):
-        echo(f"but {doubt}")
+        print_sentence(f"but {doubt}")
     for line in found.outlook:
-        echo(line)
+        print_sentence(line)
     n_files = len(found.files)
-    echo(f"{n_files} files belong to it: {', '.join(found.files)}" if n_files else "no other file")
+    print_sentence(f"{n_files} files belong to it: {', '.join(found.files)}" if n_files else "no other file")
     if found.suspicions or found.doubts:
-        echo(f"next: correct data or config, then bayescal validate {experiment}")
+        print_sentence(f"next: correct data or config, then bayescal validate {experiment}")
     if found.suspicions:  # as a run would end
         echo(f"bayescal: {experiment}: probable data error", err=True)
         raise typer.Exit(3)
     if found.doubts:
-        echo(f"if they are right: bayescal run {experiment}")
+        print_sentence(f"if they are right: bayescal run {experiment}")
         return
     command = "simulate" if config.kind == "simulation" else "run"
-    echo(f"next: bayescal {command} {experiment}, into results/{config.name}")
+    print_sentence(f"next: bayescal {command} {experiment}, into results/{config.name}")
 
 
 @app.command(epilog="Example: bayescal init my_hexapod --machine hexapod --instrument poses")
@@ -108,7 +119,7 @@ def init(
         for path in files:
             echo(f"wrote {path}")
         for line in project.found:
-            echo(line)
+            print_sentence(line)
         echo(f"next: cd {folder}, {project.advice}")
         return
     if option:

@@ -489,23 +489,20 @@ def run(share: float, workers: int, minutes: float) -> tuple[dict[str, Counter[i
 
 DOCUMENT = """# Hostile files and disturbed runs
 
-`make hostile` changes configs, tables and results of every kind as slips and malice do, and disturbs runs of every
-kind; and it draws machines with their studies and data as users write them. Every case follows from its number; the
-slow tests take the same ones. Each call has to end with exit code 0, 2 or
-3 and one line per fault, never with a traceback; after exit code 2 nothing has changed on the disk, and nothing ever
-changes outside `--out`; results that stand there are whole. What `validate` accepts `run` does not refuse as bad input;
-what `run` refuses `validate` refuses with the same line.
+What happens to bad input and broken runs? `make hostile` changes configs, tables and results of every kind, disturbs
+runs, and draws machines with their studies and data; every case follows from its number. Each call has to end with
+exit code 0, 2 or 3 and one line per fault, never with a traceback; after exit code 2 nothing has changed on the disk,
+nothing ever changes outside `--out`, and results there are whole. `validate` refuses what `run` does, with the same
+line.
 
-Machines that are drawn have 0 to 6 coordinates, 1 to 12 channels of any unit, own, external or commanded, 1 to 60 rows,
-some with gaps or held back; among them are singular and mirrored ones, and slips in their data. Each is calibrated to
-the end with little effort: a call ends within {seconds} s of the processor, results and page are there after exit
-codes 0 and 3 and are read back, and an exception that only a programming error raises counts as a fault.
+Drawn machines have 0 to 6 coordinates, 1 to 12 channels of any unit, 1 to 60 rows, some with gaps; among them are
+singular and mirrored ones, and slips in their data. A call ends within {seconds} s of the processor.
 
 {table}
 
-Disturbed runs: {disturbed}. Each is taken up until it ends, and its results are then those of a run that nobody
-disturbed. {note}The suite is shown to fail on faults that are planted (`tests/fuzz/test_planted.py`). This page is
-written by `make hostile`.
+Disturbed runs: {disturbed}. Each is resumed until it ends, and its results are then those of a run that nobody
+disturbed. {note}The suite is shown to fail on planted faults (`tests/fuzz/test_planted.py`). `make hostile` writes this
+page.
 """
 
 

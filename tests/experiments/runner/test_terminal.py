@@ -7,8 +7,8 @@ import re
 
 from rich.console import Console
 
-from bayescal.cli.app import make_console
-from bayescal.experiments.runner.terminal import TerminalColumn, print_table
+from bayescal.cli.app import make_console, print_sentence
+from bayescal.experiments.runner.terminal import PlainConsole, TerminalColumn, print_table
 
 COLUMNS = (
     TerminalColumn("variant", justify="left"),
@@ -43,3 +43,12 @@ def test_without_a_terminal_it_is_as_wide_as_columns_says(monkeypatch):
     assert make_console(160).width == 160
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     assert not make_console().color_system
+
+
+def test_sentences_break_between_words_on_a_terminal_alone(monkeypatch, capsys):
+    print_sentence("25 of 37 combinations will be determined")
+    terminal = PlainConsole(force_terminal=True, width=20)
+    monkeypatch.setitem(print_sentence.__globals__, "make_console", lambda: terminal)
+    print_sentence("25 of 37 combinations will be determined")
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["25 of 37 combinations will be determined", "25 of 37", "combinations will be", "determined"]

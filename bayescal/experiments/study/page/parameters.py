@@ -42,6 +42,7 @@ from bayescal.report.symbols import (
 )
 
 OPEN = 3  # variants whose tables are all shown; of more each stands behind a line
+ESTIMATE = "posterior mean ± sd"
 CONTRACTION = "A contraction of 0.75 halves the uncertainty."
 VERDICTS = {
     "identifiable": "uncertainty at least halved",
@@ -55,6 +56,7 @@ ODD = 0.25  # of the other models' values, below which a published row looks mis
 MISPRINT = 10.0
 PRIOR_90 = 1.645  # prior standard deviations to the 5 and 95 % points of a normal prior
 PANELS_OF_THREE_FROM = 8  # symbols from which the panels are three in a row
+WIDEST_BAND = 100.0  # a prior's half width over what posteriors reach from which on a panel is all shaded
 MOST_NAMED = 25  # parameters with a name each below an axis, legible on a telephone too
 
 
@@ -189,11 +191,15 @@ def state_agreement(study: StudyResults) -> list[Statement]:
 
 
 def tabulate_parameters(study: StudyResults, variant: str) -> Table:
-    """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg."""
+    """Return one variant's offsets from nominal: posterior, least squares and published, a column per leg.
+
+    Without least squares the caption says what all rows are: on a telephone a column of it leaves no room for numbers.
+    """
     posterior = study.geometry[study.geometry["variant"] == variant]
     found = study.table("least_squares", variant)
     legs = sorted({*posterior["leg"], *found["leg"]} - {0}) or [1]
-    columns = [Column("", kind="symbol"), Column("Unit", kind="text"), Column("", kind="text")]
+    columns = [Column("", kind="symbol"), Column("Unit", kind="text")]
+    columns += [] if found.empty else [Column("", kind="text")]
     columns += [Column(f"{study.member} {leg}") for leg in legs]
     rows = []
     for symbol, chosen in posterior.groupby("symbol", sort=False):
@@ -201,8 +207,12 @@ def tabulate_parameters(study: StudyResults, variant: str) -> Table:
         lines = _list_lines(chosen, found[found["parameter"] == symbol], legs, factor)
         for k, (label, cells) in enumerate(lines):
             span = len(lines) if k == 0 else 0
-            rows.append([Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label), *(Cell(c) for c in cells)])
-    caption = f"{_title(study, variant)}: offsets from nominal."
+            head = [Cell(str(symbol), span=span), Cell(unit, span=span), Cell(label)]
+            if found.empty:
+                head = [head[0], Cell(f"{unit}{label.removeprefix(ESTIMATE)}", span=span)]
+            rows.append([*head, *(Cell(one) for one in cells)])
+    what = f"offsets from nominal{f', {ESTIMATE}' if found.empty else ''}"
+    caption = f"{_title(study, variant)}: {what}."
     return make_table(caption, columns, rows, _state_fit(study, variant, found), "long")
 
 
@@ -221,7 +231,7 @@ def _list_lines(
         legs[0] if single else leg: format_estimate(factor * (mean - nominal), factor * sd, places, sign=True)
         for leg, mean, nominal, sd in posterior[["leg", "mean", "nominal", "sd"]].itertuples(index=False)
     }
-    lines = [("posterior mean ± sd" + (" (machine)" if single else ""), [estimates.get(leg, NO_VALUE) for leg in legs])]
+    lines = [(ESTIMATE + (" (machine)" if single else ""), [estimates.get(leg, NO_VALUE) for leg in legs])]
     for label, column in (
         ("least squares", "offset"),
         ("published", "published_offset"),
@@ -295,7 +305,7 @@ def _draw_parameters(
         chosen = rows[rows["symbol"] == symbol]
         there = {name: style for name, style in styles.items() if name in set(chosen["variant"])}
         factor, unit = scale_of(symbol, str(chosen["unit"].iloc[0]), asked)
-        widths = factor * PRIOR_90 * chosen.groupby("leg")["prior_sd"].max()  # far wider than posteriors: all shaded
+        widths = factor * PRIOR_90 * chosen.groupby("leg")["prior_sd"].max()
         axes.bar(widths.index, 2 * widths, 0.9, -widths, color=PALE, alpha=0.55, linewidth=0)
         draw_intervals(axes, chosen, there, factor)
         single = set(chosen["leg"]) == {0}
@@ -304,6 +314,9 @@ def _draw_parameters(
             leg = (0.0 if single else known["leg"].to_numpy()) + np.full(len(known), _shift(k, len(there)))
             offset = factor * known["published_offset"].to_numpy()
             axes.plot(leg, offset, linestyle="none", marker="x", markersize=4.5, color=INK, markeredgewidth=0.9)
+        reach = factor * float(chosen[["q05", "q95"]].sub(chosen["nominal"], axis=0).abs().to_numpy().max())
+        if widths.max() > WIDEST_BAND * reach > 0.0:
+            axes.set_ylim(-1.15 * reach, 1.15 * reach)
         axes.axhline(0, color=INK, linewidth=0.8)
         axes.set_ylabel(f"{set_mathematics(symbol, 'Δ')} ({unit})")
         label_members(axes, chosen, member)

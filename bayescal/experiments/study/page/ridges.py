@@ -27,6 +27,7 @@ SHOWN_RIDGES = 8
 NO_PAIRS = "Correlations within a {}."
 RETAINED, REMOVED = 0.5, 0.01  # share of the prior variance of a combination that is hardly, or well, measured
 SHOWN_DRAWS = 1500
+MAX_LEVEL_LABEL = 8  # letters of a name that has room below its column
 MAX_NUMBERED_CORRELATIONS = 10  # parameters of which the correlations are written as numbers
 
 
@@ -158,7 +159,8 @@ def _draw_matrix(axes: Axes, draws: pd.DataFrame) -> None:
     matrix = draws.corr().to_numpy()
     axes.imshow(matrix, cmap="RdBu_r", vmin=-1, vmax=1)
     labels = [set_mathematics(symbol) for symbol in symbols]
-    axes.set_xticks(range(len(symbols)), labels)
+    long = max(map(len, symbols)) > MAX_LEVEL_LABEL
+    axes.set_xticks(range(len(symbols)), labels, rotation=90 if long else 0)
     axes.set_yticks(range(len(symbols)), labels)
     axes.tick_params(length=0)
     for i, j in np.ndindex(*matrix.shape):
