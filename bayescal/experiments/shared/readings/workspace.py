@@ -176,11 +176,14 @@ def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Gen
 def draw_standing(
     model: ReadingModel, workspace: Workspace, theta: Array, given: Given, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K)."""
+    """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K).
+
+    InputError where few poses are within reach and within the ranges of the commanded channels.
+    """
     pose = round_as_written(workspace.draw(count, rng))
     for _ in range(MOST_TRIES):
         exact = model.read(theta, pose, given)
-        lost = ~np.isfinite(exact).all(axis=1)
+        lost = ~np.isfinite(exact).all(axis=1) | model.find_beyond(exact).any(axis=1)
         if not lost.any():
             return pose, exact
         pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
@@ -209,7 +212,8 @@ def lead_to_contact(
         with np.errstate(all="ignore"):
             led, found = touch(model, theta, start, read[from_rows], error[from_rows], some)
             found &= ((led >= workspace.low - slack) & (led <= workspace.high + slack)).all(axis=1)
-            found &= np.isfinite(model.read(theta, led, some)).all(axis=1)
+            exact = model.read(theta, led, some)
+            found &= np.isfinite(exact).all(axis=1) & ~model.find_beyond(exact).any(axis=1)
         there, first = np.unique(from_rows[found], return_index=True)
         pose[there] = led[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
