@@ -148,7 +148,9 @@ def _list_channels(machine: MachineFiles, instruments: object) -> list[Channel]:
     if isinstance(instruments, Mapping):
         root = MemoryPath(files=machine.files)
         with suppress(InputError, ValidationError):
-            known = {key: InstrumentConfig.model_validate(one, context={FOLDER: root}) for key, one in instruments.items()}
+            known = {
+                key: InstrumentConfig.model_validate(one, context={FOLDER: root}) for key, one in instruments.items()
+            }
             found = read_instruments(known, root)
             channels += [rename_channel(name, seen) for name, one in found.items() for seen in one.channels]
     return channels

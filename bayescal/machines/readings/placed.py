@@ -54,7 +54,9 @@ from bayescal.numerics.geometry import Array
 READ_BY = "instruments"
 """Column of a file of planned poses that names the instruments which read in a row."""
 NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
-ASIDE = 0.01  # of them, by which that begins beside home: where an anchor is that nobody states, a distance has no slope
+ASIDE = (
+    0.01  # of them, by which that begins beside home: where an anchor is that nobody states, a distance has no slope
+)
 
 
 # --- instruments -----------------------------------------------------------------------------------------------------
@@ -83,6 +85,8 @@ class Instrument(ReadingMachine):
 
     touches: ClassVar[bool] = False
     """Whether it reads by contact, zeros alone, in rows of its own: simulated tools are led to where it does."""
+    wide: ClassVar[Mapping[str, float]] = {"mm": 1e4, "rad": 1.0}
+    """By unit: standard deviation of the prior of what nobody states, far beyond what data leave open."""
 
     @abstractmethod
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
