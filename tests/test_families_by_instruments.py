@@ -2,8 +2,8 @@
 
 A family's machines take the instruments that make sense of it in turn; frames, and where a plane lies, nobody states.
 Parameters of one machine err together, so machines count: whatever the correlation, the share of a machine's
-parameters inside their 90 % intervals has the mean 0.9, and the spread over machines tells the error of the mean. So has
-z², z the truth's distance from the posterior's mean in its standard deviations, the mean one: truths are of the prior.
+parameters inside their 90 % intervals has the mean 0.9, and the spread over machines tells the error of the mean.
+Likewise z², z the truth's distance from the posterior's mean in its standard deviations, has the mean one.
 """
 
 from __future__ import annotations
@@ -136,9 +136,10 @@ def aim(
 
 DELTA = {
     "kind": "delta",
-    "machine": dict(
-        radius_mm=160.0, arm_mm=345.0, endstop_mm=415.0, workspace_radius_mm=140.0, workspace_height_mm=40.0
-    ),
+    "machine": {
+        **{"radius_mm": 160.0, "arm_mm": 345.0, "endstop_mm": 415.0},
+        **{"workspace_radius_mm": 140.0, "workspace_height_mm": 40.0},
+    },
 }
 M2 = {"kind": "legs", "mechanism": "m2.toml", "model": "six_ups"}
 LEVEL = ("own", "point", "distance", "plane", "sockets", "places")
