@@ -8,6 +8,7 @@ Likewise z², z the truth's distance from the posterior's mean in its standard d
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -67,6 +68,7 @@ class Family:
     sections: Mapping[str, Any] = field(default_factory=dict)
     study: Mapping[str, Any] = field(default_factory=dict)
     inner: float = 0.6
+    planar: bool = False
 
     def load(self, places: int) -> MachineFiles:
         """Return the machine, at one place or at two in a row of the data."""
@@ -115,6 +117,8 @@ def aim(
         there, known, noise = frame, {"kind": name, **target}, {"it": 0.02}
     elif name == "distance":
         there, known, noise = {"anchor_mm": away}, {"kind": name, **target}, {"it": 0.01}
+        if family.planar:  # readings do not tell on which side of the plane
+            known |= there
     elif name == "plane":  # through a place of the tool
         tilt = np.append(np.radians(5.0 * rng.standard_normal(2)), 0.0)
         offset = float(matrix_from_rotation_vector(tilt)[:, 2] @ seen[0])
@@ -152,7 +156,11 @@ FAMILIES = {
         "examples/machines/rotary_delta.toml", {"q": 5e-5}, {"L": 0.3, "l": 0.3, "o": 0.1}, LEVEL, {"height": 0.01}
     ),
     "five_bar": Family(
-        "examples/machines/five_bar.toml", {"q": 5e-5}, {"L": 0.3, "l": 0.3, "o": 0.1}, ("point", "distance", "places")
+        "examples/machines/five_bar.toml",
+        {"q": 5e-5},
+        {"L": 0.3, "l": 0.3, "o": 0.1},
+        ("point", "distance", "places"),
+        planar=True,
     ),
     "line_machine": Family(
         "experiments/hangprinter/machine.toml",
@@ -167,6 +175,7 @@ FAMILIES = {
         {"A_x": 1.0, "A_y": 1.0},
         ("own", "point", "distance", "places"),
         dict.fromkeys("xy", 0.1),
+        planar=True,
     ),
     "arm of a URDF file": Family(
         {"kind": "arm", "machine": {"urdf": "small.urdf"}},
@@ -184,6 +193,7 @@ FAMILIES = {
         ("own", "point", "pose", "eye to hand", "eye in hand", "distance"),
         {"phi": 1e-4},
         sections=STAR,
+        planar=True,
     ),
     "mount": Family(
         {"kind": "mount", "machine": {"axes": "altazimuth"}},
@@ -220,7 +230,8 @@ FAMILIES = {
 class Recovered:
     """How a calibration of a machine by an instrument fares against the truth.
 
-    Scores z and which lie inside 90 % intervals, of parameters (n,) and of the tool's numbers at new places.
+    Scores z and which lie inside 90 % intervals, of parameters (n,) and of the tool's numbers at new places; how many
+    solutions there are.
     """
 
     instrument: str
@@ -228,6 +239,7 @@ class Recovered:
     inside: np.ndarray
     tool: np.ndarray
     pareto_k: float
+    solutions: int
 
 
 def recover(name: str, k: int, instrument: str = "") -> Recovered:
@@ -237,7 +249,11 @@ def recover(name: str, k: int, instrument: str = "") -> Recovered:
     rng = np.random.default_rng([k, zlib.crc32(name.encode())])
     machine, places = family.load(1), 2 if instrument == "places" else 1
     there, known, noise = aim(instrument, family, machine.model, rng)
-    tolerances = {**family.tolerances, **({"it_scale": 0.002} if instrument in EYES else {})}
+    tolerances = dict(family.tolerances)
+    if instrument in EYES:
+        tolerances["it_scale"] = 0.002
+    if instrument == "distance" and family.planar:
+        tolerances["it_anchor"] = 1.0
     data = bc.simulate(
         *(family.load(places), {**family.noise, **noise}, tolerances, family.rows),
         **{"seed": k + 1, "instruments": there, **family.sections},
@@ -264,6 +280,7 @@ def recover(name: str, k: int, instrument: str = "") -> Recovered:
         (low <= at) & (at <= high),
         find_tool(family, machine.model, true, study, rng),
         float(study.ranking["pareto_k"].iloc[0]),
+        int(study.best.parameters.get("mode", pd.Series([1])).max()),
     )
 
 
@@ -315,6 +332,24 @@ def judge(found: Sequence[Recovered], off: float) -> dict[str, float]:
     return wrong
 
 
+ONCE_LOST = {
+    "what no reading tells stays where the search for a frame began": ("sliding_platform", 26),
+    "a draw of the prior leads where no machine stands": ("sliding_platform", 3),
+    "a plane is seen from one side": ("rotary_delta", 3),
+    "an anchor begins where the tool is": ("line_machine in a plane", 2),
+    "few of the workspace are within the ranges of actuators": ("legs", 0),
+}
+
+
+@pytest.mark.runs
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize("case", ONCE_LOST)
+def test_machines_are_recovered_where(case):
+    found = recover(*ONCE_LOST[case])
+    assert np.abs(np.concatenate([found.z, found.tool])).max() < 4.5
+    assert found.solutions == 1
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("name", FAMILIES)
@@ -327,3 +362,31 @@ def test_machines_of_a_family_are_recovered(name):
 def test_machines_of_all_families_are_recovered():
     """As many as show an interval that is some percent off."""
     assert not judge([one for name in FAMILIES for one in recover_family(name)], OFF)
+
+
+# --- combinations that make no sense ---------------------------------------------------------------------------------
+
+
+NO_PLACE, NO_TURN = (
+    "expected tool_channels of its class, up to three in mm",
+    "expected a rotation vector in tool_channels",
+)
+REFUSED = [
+    *((name, one, NO_PLACE) for name in ("mount", "equatorial mount") for one in TURNING),
+    *((name, "places", "places: found a tool without lengths") for name in ("mount", "equatorial mount")),
+    *(
+        (name, one, NO_TURN)
+        for name in ("delta", "rotary_delta", "five_bar", "line_machine", "line_machine in a plane", "own class")
+        for one in ("pose", *EYES)
+    ),
+    ("five_bar", "sockets", "found few poses of the workspace that touch it"),
+    ("legs", "places", "places: found 2, expected 1"),
+]
+"""Families with instruments that they cannot have, and what is said."""
+
+
+@pytest.mark.parametrize(("name", "instrument", "said"), REFUSED)
+def test_what_makes_no_sense_is_refused_in_a_line(name, instrument, said):
+    with pytest.raises(bc.InputError, match=re.escape(said)) as caught:
+        recover(name, 0, instrument)
+    assert "\n" not in str(caught.value)

@@ -430,14 +430,19 @@ class _Problem:
         return np.asarray(whole[self.free])
 
     def _polish(self, start: Array) -> Array:
+        """Return the best fit from a start (F,), at which of what nobody states stays what no reading tells.
+
+        Tolerances, which are in the scale, err alike in all rows, so that the wide prior counts in each.
+        """
         from scipy.optimize import least_squares  # a tenth of a second to import, for those with instruments
 
         n, x = len(start), start
+        pull = np.where(self.lost, np.sqrt(len(self.tool)) / np.where(self.free, self.sd, 1.0), 0.0)[self.free]
         for _ in range(2):  # with the size of residuals from which on a row is taken for an outlier
             found = least_squares(
-                lambda x: self.miss(x).ravel(),
+                lambda x: np.append(self.miss(x), pull * (x - start)),
                 x,
-                lambda x: self.slope(x).reshape(-1, n),
+                lambda x: np.concatenate([self.slope(x).reshape(-1, n), np.diag(pull)]),
                 x_scale="jac",
                 loss="soft_l1",
                 f_scale=OUTLYING * max(self.rms(x), 1e-6),
