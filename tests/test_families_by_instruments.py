@@ -338,6 +338,7 @@ ONCE_LOST = {
     "a plane is seen from one side": ("rotary_delta", 3),
     "an anchor begins where the tool is": ("line_machine in a plane", 2),
     "few of the workspace are within the ranges of actuators": ("legs", 0),
+    "instruments are called as parameters of the machine": ("arm of rows", 6),
 }
 
 
