@@ -14,13 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from bayescal.config.load import FOLDER
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, name_faults
 from bayescal.experiments.runner.load import load
+from bayescal.experiments.shared.readings.instruments import read_instruments
+from bayescal.experiments.shared.readings.schema import InstrumentConfig
 from bayescal.files.csv_tables import format_table, read_table
+from bayescal.files.memory import MemoryPath
 from bayescal.machine_files import AnyMachine, MachineFiles, load_machine
 from bayescal.machines.readings import Channel
+from bayescal.machines.readings.placed import rename_channel
 from bayescal.numerics.units import units_like
 from bayescal.results import LoadedResults, StudyResult, wrap_results
 from bayescal.stated import StatedExperiment, Table, name_rows
@@ -131,6 +137,23 @@ def describe_noise(noise: Noise, channels: Sequence[Channel], columns: Sequence[
         except (TypeError, ValueError):
             found[name] = {key: value}
     return found
+
+
+def _list_channels(machine: MachineFiles, instruments: object) -> list[Channel]:
+    """Return the channels of a machine, and of instruments that a section [instruments] puts beside it.
+
+    What is wrong with that section says who reads the config.
+    """
+    channels = list(machine.channels)
+    if isinstance(instruments, Mapping):
+        root = MemoryPath(files=machine.files)
+        with suppress(InputError, ValidationError):
+            known = {
+                key: InstrumentConfig.model_validate(one, context={FOLDER: root}) for key, one in instruments.items()
+            }
+            found = read_instruments(known, root)
+            channels += [rename_channel(name, seen) for name, one in found.items() for seen in one.channels]
+    return channels
 
 
 def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
@@ -265,7 +288,7 @@ def calibrate(
     stated, found = _begin("study", machine, name, "calibration", seed)
     stated.state(title=title or stated.content["title"], provenance=UNSTATED)
     if isinstance(data, Data):
-        data.state(stated, found.channels)
+        data.state(stated, _list_channels(found, sections.get("instruments")))
     elif isinstance(data, Mapping):
         stated.labels["data.0"] = "data"
         stated.state(data=[data])
@@ -369,7 +392,7 @@ def simulate(
 
     stated, found = _begin("simulation", machine, "simulated", "simulated readings", seed)
     source = {"status": "simulated", "text": "Simulated: one machine drawn within its tolerances, never measured"}
-    sensors = describe_noise(noise, found.channels, [])
+    sensors = describe_noise(noise, _list_channels(found, sections.get("instruments")), [])
     stated.state(
         provenance=source, n_poses=n_poses, sensors=sensors, parameters=_describe_widths(tolerances), **sections
     )
@@ -419,7 +442,7 @@ def audit(
     stated, found = _begin("audit", machine, "audit", "audit", seed)
     _state_models(stated, tolerances, variants)
     stated.state(
-        sensors=describe_noise(noise, found.channels, []),
+        sensors=describe_noise(noise, _list_channels(found, sections.get("instruments")), []),
         poses={"count": poses},
         requirements=requirements or {},
         requirement_applies_to="rms",

@@ -144,6 +144,25 @@ def test_a_study_says_what_it_found(delta, tmp_path):
         delta["everythin"]
 
 
+def test_tables_of_truth_and_parameters_merge_by_what_they_share():
+    machine = bc.load_machine(ROOT / "examples" / "machines" / "five_bar.toml")
+    truth = bc.simulate(machine, {"q": 1e-4}, {"L": 0.3, "o": 0.1}, 3).truth
+    written = [float(f"{one:.9g}") for one in machine.parameters.set_index("parameter")["nominal"][truth["parameter"]]]
+    assert list(truth["nominal"]) == written
+    assert truth["nominal"].tolist()[-1] != machine.model.layout.nominal[-1]  # 20 degrees have more digits
+
+
+def test_noise_of_instruments_is_in_their_own_units_too():
+    known = {"it": {"kind": "point"}}
+    there = {"it": {**known["it"], "frame_mm": [300.0, 0.0, 0.0], "frame_deg": [10.0, 20.0, 30.0]}}
+    machine, tolerances = CASES["own file"][0], {"l": 0.3}
+    data = bc.simulate(machine, {"s": 0.005, "it[x]": 0.02, "it[y]": 0.02}, tolerances, 6, instruments=there)
+    assert list(data.table.columns[-2:]) == ["it_x_mm", "it_y_mm"]
+    assert data.noise["it[x]"] == {"noise_mm": 0.02}
+    with pytest.raises(bc.InputError, match=r"instruments\.it\.kind: found 'pont'"):
+        bc.simulate(machine, {"s": 0.005, "it": 0.02}, tolerances, 6, instruments={"it": {"kind": "pont"}})
+
+
 def test_data_are_not_called_measured_unasked(delta):
     assert bc.Data(pd.DataFrame({"s_1_mm": [1.0]}), {"s": 0.1}).provenance["status"] == "unstated"
     assert delta.summary["origin"]["status"] == "simulated"

@@ -195,8 +195,10 @@ def _climb_scattered(climber: NewtonSearch, known: list[Climb], first: Mode, rng
     for start in posterior.draw_prior(N_SCATTERED, rng):
         if not (np.isfinite(start).all() and np.isfinite(posterior.log_density(start[None])[0])):
             continue
-        y = posterior.refine_geometry(start)
-        y = posterior.refine_geometry(np.concatenate([y[:n], first.y[n:]]))
+        y = np.concatenate([posterior.refine_geometry(start)[:n], first.y[n:]])
+        if not np.isfinite(posterior.log_density(y[None])[0]):
+            continue  # a way that ends where the machine does not stand
+        y = posterior.refine_geometry(y)
         if any(np.max(((y - mode[0]) / sd)[:n] ** 2, initial=0.0) < KNOWN for mode in (*known, *found)):
             continue
         if posterior.log_density(y[None])[0] < first.log_density - MAX_MODE_GAP_NAT:

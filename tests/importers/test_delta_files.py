@@ -107,6 +107,10 @@ def test_a_klipper_file_is_calibrated_as_it_is(call, tmp_path):
     radius = table.set_index("parameter").loc["r"]
     assert radius["mean"] == pytest.approx(162.76, abs=0.05)
     assert radius["sd"] == pytest.approx(0.19, abs=0.03)
+    form = "--variant", "arms_differ", "--format", "klipper"
+    assert call("export", tmp_path / "out", *form, "--out", tmp_path / "calibrated")[0] == 0
+    (written,) = (tmp_path / "calibrated").glob("*.cfg")
+    assert f"delta_radius: {radius['mean']:.3f}" in written.read_text()
 
 
 @pytest.mark.runs

@@ -76,6 +76,9 @@ def test_a_measured_file_gives_the_shipped_terms(call, tmp_path):
     off = (found["mine"]["mean"] - found["shipped"]["mean"]) / found["shipped"]["sd"]
     assert off.abs().max() < 0.15
     np.testing.assert_allclose(found["mine"]["sd"], found["shipped"]["sd"], rtol=0.1)
+    form = "--variant", "eight", "--format", "tpoint"
+    assert call("export", tmp_path / "out_mine", *form, "--out", tmp_path / "model")[0] == 0
+    assert any("NPAE" in one.read_text() for one in (tmp_path / "model").iterdir() if one.suffix not in (".nc", ".csv"))
 
 
 @pytest.mark.parametrize("start", ["north", "south"])

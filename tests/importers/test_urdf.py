@@ -10,6 +10,7 @@ import pytest
 from refusals import line_of
 from serial_arms import JOINTS, PANDA, SMALL, place_links, write_small
 
+import bayescal as bc
 from bayescal import load_machine
 from bayescal.experiments.audit.audit import analyse
 from bayescal.experiments.audit.design import load_audit, read_plans
@@ -103,6 +104,32 @@ def test_a_file_is_audited_as_it_is(tmp_path, call):
     code, said, _ = call("audit", tmp_path / "arm" / "audit.toml", "--out", tmp_path / "out", "--workers", 1)
     assert code == 0
     assert "determine 21 of 35 parameters; combinations: 8 structurally unidentifiable" in " ".join(said.split())
+
+
+@pytest.mark.runs
+@pytest.mark.usefixtures("no_pictures")
+def test_a_file_becomes_a_calibrated_file_without_a_class(tmp_path):
+    """What a user's script does, from the arm's file to the report and to the corrected file."""
+    machine = load_machine(write_small(tmp_path))
+    noise, tolerances = {"joint[1]": 1e-4, "joint[2]": 0.02, "joint[3]": 1e-4, "tracker": 0.02}, {"offset": 0.2}
+    tracker = {"kind": "point", "target_mm": [30.0, 0.0, 40.0]}
+    there = {"tracker": tracker | {"frame_mm": [2000.0, 0.0, 500.0], "frame_deg": [0.0, 0.0, 120.0]}}
+    data = bc.simulate(machine, noise, tolerances, 15, instruments=there)
+    options = {"instruments": {"tracker": tracker}, "model_error": {"terms": []}, "quiet": True}
+    bc.calibrate(machine, data, tolerances, effort="quick", out=tmp_path / "results", **options)
+    study = bc.load_results(tmp_path / "results", allow_unconverged=True)
+    study.page(tmp_path / "report.html")
+    study.best.export(tmp_path / "arm", "urdf")
+    found, own = study.best.parameters.set_index("parameter")["mean"], machine.model.layout
+    theta = np.array([found.get(name, nominal) for name, nominal in zip(own.names, own.nominal, strict=True)])
+    corrected, q = load_machine(tmp_path / "arm" / "machine.urdf").model, np.array([[0.3, 50.0, -0.5]])
+    (tool, there), (expected, _) = (
+        (model.tool_values(at, model.locate(at, q)[0]), model.locate(at, q)[1])
+        for model, at in ((corrected, corrected.layout.nominal), (machine.model, theta))
+    )
+    assert there.all()
+    np.testing.assert_allclose(tool, expected, atol=1e-5)
+    assert (tmp_path / "report.html").stat().st_size > 10_000
 
 
 FAULTS = {

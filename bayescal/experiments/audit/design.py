@@ -29,6 +29,7 @@ from bayescal.identifiability.profile import check_profiles
 from bayescal.identifiability.reading_rows import typical_given
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.readings import PoseInstrument, ReadingModel, place
+from bayescal.machines.readings.base import narrow_range
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
 
@@ -149,8 +150,10 @@ def check_reach(plan: DesignVariant) -> None:
 
 def _check_reach(variant: Variant, read: Array, names: Sequence[str]) -> None:
     model, beyond = variant.model, variant.model.find_beyond(read)
+    channels = [model.channels[k] for k in model.select(model.commanded)]
     for row, k in np.argwhere(beyond)[:1]:
-        channel, (low, high) = model.channels[place := model.select(model.commanded)[k]], model.command_range[k]
+        channel, (low, high) = channels[k], narrow_range(model.command_range, channels)[k]
+        place = model.channels.index(channel)
         raise InputError(
             f"{names[row]}: found {channel.name} at {read[row, place]:.6g} {channel.unit}, expected {low:g} to {high:g}"
         )

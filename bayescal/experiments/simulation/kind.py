@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from bayescal.data.truth import round_as_written
+from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
@@ -97,6 +98,10 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
 
 
 def _tabulate(layout: ParameterLayout, true: Array) -> pd.DataFrame:
-    """Return the parameters that are off their nominal values, as far as files of the truth have digits."""
-    table = TruthRow.tabulate(parameter=layout.names, unit=layout.units, nominal=layout.nominal, true=true)
+    """Return the parameters that are off their nominal values, as far as files of the truth have digits.
+
+    Nominal values have the digits of a study's tables, so that both merge by them.
+    """
+    nominal = [float(f"{one:.{Experiment.digits}g}") for one in layout.nominal]
+    table = TruthRow.tabulate(parameter=layout.names, unit=layout.units, nominal=nominal, true=true)
     return table[round_as_written(layout.nominal) != true].reset_index(drop=True)

@@ -315,7 +315,8 @@ class ReadingModel(ABC):
 
     def find_beyond(self, values: Array) -> np.ndarray:
         """Return which readings (..., K) of commanded channels lie beyond their range, shape (..., C)."""
-        read, limits = values[..., self.select(self.commanded)], self.command_range
+        places = self.select(self.commanded)
+        read, limits = values[..., places], narrow_range(self.command_range, [self.channels[k] for k in places])
         return np.asarray((read < limits[:, 0] - SLACK) | (read > limits[:, 1] + SLACK))
 
     def with_optional(self, names: Iterable[str]) -> ReadingModel:

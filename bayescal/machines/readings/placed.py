@@ -54,6 +54,9 @@ from bayescal.numerics.geometry import Array
 READ_BY = "instruments"
 """Column of a file of planned poses that names the instruments which read in a row."""
 NEARBY = (100.0,) * 3 + (0.5,) * 3  # mm and rad about the tool at home, within which an instrument is checked
+ASIDE = (
+    0.01  # of them, by which that begins beside home: where an anchor is that nobody states, a distance has no slope
+)
 
 
 # --- instruments -----------------------------------------------------------------------------------------------------
@@ -82,6 +85,8 @@ class Instrument(ReadingMachine):
 
     touches: ClassVar[bool] = False
     """Whether it reads by contact, zeros alone, in rows of its own: simulated tools are led to where it does."""
+    wide: ClassVar[Mapping[str, float]] = {"mm": 1e4, "rad": 1.0}
+    """By unit: standard deviation of the prior of what nobody states, far beyond what data leave open."""
 
     @abstractmethod
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -625,7 +630,8 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
                 raise InputError(f"machine {title!r}: expected tool_channels of its class, up to three in mm")
             home = bare.place_tool(machine.layout.nominal, machine.home_pose)
             one.coordinates = [
-                Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]), NEARBY[k]) for k, axis in enumerate(POSE)
+                Coordinate(axis, "mm" if k < 3 else "rad", float(home[k]) + ASIDE * NEARBY[k], NEARBY[k])
+                for k, axis in enumerate(POSE)
             ]
             model = FunctionModel(name, one)
             if model.pattern[:, model.layout.size + 3 :].any() and not bare.tells_rotation:

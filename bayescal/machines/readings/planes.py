@@ -12,7 +12,7 @@ lies nobody has to know: it is found with the machine. The radius of a ball is p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -57,6 +57,8 @@ class PlaneInstrument(Instrument):
 
     Config = PlaneConfig
     touches = True
+    wide: ClassVar[Mapping[str, float]] = {"mm": 1e4, "rad": 0.5}
+    """Half as wide as of a frame, which is the same after a whole turn: after half of one the plane is, from behind."""
 
     def __init__(self, config: PlaneConfig) -> None:
         """Lay out the plane and the tip."""

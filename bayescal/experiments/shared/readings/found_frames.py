@@ -33,8 +33,6 @@ from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.units import Units
 from bayescal.report.numbers import format_significant, join_words
 
-WIDE = {"mm": 1e4, "rad": 1.0}
-"""Standard deviations of priors of what nobody states: far beyond what any data leave open."""
 SCALE = {"mm": 100.0, "rad": 0.3}
 """What steps of least squares are small against."""
 MOST_ROWS = 120  # of the data from which frames are found
@@ -58,7 +56,7 @@ class FoundFrames:
     """
 
     instruments: Mapping[str, Instrument]
-    wide: Mapping[str, str] = field(default_factory=dict)  # unit by symbol
+    wide: Mapping[str, tuple[float, str]] = field(default_factory=dict)  # standard deviation and its unit by symbol
     begin: Mapping[str, float] = field(default_factory=dict)
     told: str = ""
 
@@ -77,12 +75,9 @@ class FoundFrames:
         )
 
 
-def _widen(wide: Mapping[str, str], config: StudyConfig) -> dict[str, PriorConfig]:
+def _widen(wide: Mapping[str, tuple[float, str]], config: StudyConfig) -> dict[str, PriorConfig]:
     units = Units(config.units.length, config.units.angle)
-    return {
-        symbol: NormalConfig(prior="normal", sd=WIDE.get(unit, 1.0) / units.factor(unit))
-        for symbol, unit in wide.items()
-    }
+    return {symbol: NormalConfig(prior="normal", sd=sd / units.factor(unit)) for symbol, (sd, unit) in wide.items()}
 
 
 def find_frames(
@@ -141,10 +136,10 @@ def find_frames(
     return FoundFrames(values, wide, begin, "; ".join(told))
 
 
-def list_unstated(instruments: Mapping[str, Instrument]) -> dict[str, str]:
-    """Return the units of what nobody states, by symbol."""
+def list_unstated(instruments: Mapping[str, Instrument]) -> dict[str, tuple[float, str]]:
+    """Return the standard deviations of priors of what nobody states, and their units, by symbol."""
     return {
-        f"{name}_{block.symbol}" if name else block.symbol: block.unit
+        f"{name}_{block.symbol}" if name else block.symbol: (one.wide.get(block.unit, 1.0), block.unit)
         for name, one in instruments.items()
         for block in (one.parameters if one.unstated else ())
         if block.symbol in one.unstated
@@ -435,14 +430,19 @@ class _Problem:
         return np.asarray(whole[self.free])
 
     def _polish(self, start: Array) -> Array:
+        """Return the best fit from a start (F,), at which of what nobody states stays what no reading tells.
+
+        Tolerances, which are in the scale, err alike in all rows, so that the wide prior counts in each.
+        """
         from scipy.optimize import least_squares  # a tenth of a second to import, for those with instruments
 
         n, x = len(start), start
+        pull = np.where(self.lost, np.sqrt(len(self.tool)) / np.where(self.free, self.sd, 1.0), 0.0)[self.free]
         for _ in range(2):  # with the size of residuals from which on a row is taken for an outlier
             found = least_squares(
-                lambda x: self.miss(x).ravel(),
+                lambda x: np.append(self.miss(x), pull * (x - start)),
                 x,
-                lambda x: self.slope(x).reshape(-1, n),
+                lambda x: np.concatenate([self.slope(x).reshape(-1, n), np.diag(pull)]),
                 x_scale="jac",
                 loss="soft_l1",
                 f_scale=OUTLYING * max(self.rms(x), 1e-6),

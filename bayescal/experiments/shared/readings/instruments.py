@@ -117,8 +117,12 @@ def leave_instruments(
     """Return a config that has run, and a variant of it, without what is not the machine's own."""
     if not config.instruments:
         return config, variant
-    own = {*machine.layout.symbols, *machine.layout.names, *machine.names, *(one.kind for one in machine.channels)}
-    kept = {name: {k: v for k, v in getattr(config, name).items() if k in own} for name in ("sensors", "parameters")}
+    own = {*machine.layout.symbols, *machine.layout.names}
+    read = {*machine.names, *(one.kind for one in machine.channels)}  # an instrument may be called as a symbol is
+    kept = {
+        "sensors": {name: one for name, one in config.sensors.items() if name in read},
+        "parameters": {name: one for name, one in config.parameters.items() if name in own},
+    }
     common = [one for one in variant.tied if own.issuperset([one] if isinstance(one, str) else one)]
     free = None if variant.free is None else [one for one in variant.free if one in own]
     return (

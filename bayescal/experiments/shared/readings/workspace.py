@@ -27,7 +27,7 @@ MARGIN = 0.05  # of their distance, by which it goes beyond both
 N_WORKSPACE = 200
 """How many poses stand for a workspace where a config does not say it."""
 STARTS = 0.6  # of the half widths, from where poses are looked for
-MOST_TRIES = 100
+MOST_TRIES, SINGLE = 100, 20
 ROUNDS, EACH = 5, 40  # of starts for poses that touch, in each so many for a pose
 EDGE = 1e-9  # of the half widths, by which poses may lie beyond the workspace: by rounding
 LARGEST_GRID = 81  # starts; beyond, they are drawn
@@ -176,14 +176,21 @@ def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Gen
 def draw_standing(
     model: ReadingModel, workspace: Workspace, theta: Array, given: Given, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K)."""
-    pose = round_as_written(workspace.draw(count, rng))
-    for _ in range(MOST_TRIES):
-        exact = model.read(theta, pose, given)
-        lost = ~np.isfinite(exact).all(axis=1)
-        if not lost.any():
+    """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K).
+
+    InputError where few poses are within reach and within the ranges of the commanded channels.
+    """
+    pose, exact = np.empty((count, len(workspace.low))), np.empty((count, len(model.channels)))
+    rows = np.arange(count)
+    for tried in range(MOST_TRIES):  # one at a time, and many where the ranges leave little of the workspace
+        from_rows = np.repeat(rows, EACH if tried >= SINGLE else 1)
+        some = round_as_written(workspace.draw(len(from_rows), rng))
+        read = model.read(theta, some, {name: value[from_rows] for name, value in given.items()})
+        found = np.isfinite(read).all(axis=1) & ~model.find_beyond(read).any(axis=1)
+        there, first = np.unique(from_rows[found], return_index=True)
+        pose[there], exact[there] = some[found][first], read[found][first]
+        if not len(rows := np.setdiff1d(rows, there)):
             return pose, exact
-        pose[lost] = round_as_written(workspace.draw(int(lost.sum()), rng))
     raise InputError("workspace: found few reachable poses, expected a smaller workspace")
 
 
@@ -209,7 +216,8 @@ def lead_to_contact(
         with np.errstate(all="ignore"):
             led, found = touch(model, theta, start, read[from_rows], error[from_rows], some)
             found &= ((led >= workspace.low - slack) & (led <= workspace.high + slack)).all(axis=1)
-            found &= np.isfinite(model.read(theta, led, some)).all(axis=1)
+            exact = model.read(theta, led, some)
+            found &= np.isfinite(exact).all(axis=1) & ~model.find_beyond(exact).any(axis=1)
         there, first = np.unique(from_rows[found], return_index=True)
         pose[there] = led[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
