@@ -141,7 +141,7 @@ class LoadedResults:
             text = table.to_html(
                 index=False, max_rows=ROWS, max_cols=COLUMNS, float_format="{:.5g}".format, border=0, escape=True
             )
-            said += [f"<h4>{escape(title)}</h4>", text]
+            said += [f"<h4>{escape(title)}</h4>", f"<div style='white-space:nowrap'>{text}</div>"]  # rows of one line
         return f"<div style='{CARD}'>{'\n'.join(said)}</div>"
 
 
