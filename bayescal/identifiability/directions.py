@@ -21,7 +21,7 @@ from bayescal.numerics.geometry import Array
 type Kind = Literal["structural", "practical", "informed"]
 type Verdict = Literal["identifiable", "weak", "not"]
 
-SMALLEST_FOLLOWER = 1e-3  # of the largest loading; what follows by less is left out at once
+SMALLEST_FOLLOWER = 1e-3  # of the largest loading, or change of readings; what follows by less is left out at once
 ALLOWED_RISE = 0.01  # of the contraction, for a follower to be left out
 SEEN_SHARE = 0.02  # of a direction's square, for a loading of an informed direction to be named
 ROUNDS = 40
@@ -117,7 +117,10 @@ def _follow(matrix: Array, pivot: int, held: np.ndarray) -> Array:
     """Return the move in which one parameter goes by its tolerance and those not held follow, as few as will do."""
     others = np.setdiff1d(np.arange(len(matrix)), held)
     vector = _solve(matrix, pivot, others)
-    others = others[np.abs(vector[others]) > SMALLEST_FOLLOWER * np.abs(vector).max()]
+    # a wide tolerance, as of a frame that is found, makes a move small that readings see well
+    move, seen = np.abs(vector), np.abs(vector) * np.sqrt(np.diagonal(matrix))
+    follows = (move > SMALLEST_FOLLOWER * move.max()) | (seen > SMALLEST_FOLLOWER * seen.max())
+    others = others[follows[others]]
     vector = _solve(matrix, pivot, others)
     allowed = _contract(matrix, vector) + ALLOWED_RISE
     while len(others):

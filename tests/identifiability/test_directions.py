@@ -57,6 +57,16 @@ def test_what_to_free_is_what_the_report_freed(model, deformation, last):
     assert len(selection.free) == 36
 
 
+def test_a_frame_of_a_wide_tolerance_follows_what_it_hides():
+    """A link and the place of what a tool touches go together; the place's tolerance is ten thousand of the link's."""
+    rows = np.array([[1.0, -1e4, 0.0], [1.0, -1e4, 1.0]]) * 5.0  # by the link, the place and a zero, in tolerances
+    information = information_of_rows(rows, np.ones(3))
+    weak = [one for one in find_directions(information, np.empty((3, 0)), ()) if one.kind == "practical"]
+    assert len(weak) == 1
+    assert weak[0].vector[1] / weak[0].vector[0] == pytest.approx(1e-4)
+    assert np.abs(rows @ weak[0].vector).max() < 1e-3
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_to_free_does_not_depend_on_the_order_of_the_legs(seed):
     knowledge, plan = problems.build_telescope_problem("linear")
