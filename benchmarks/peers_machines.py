@@ -125,7 +125,8 @@ def find_python(script: Path, environments: Path) -> Path:
 
 def read_versions(python: Path, script: Path) -> dict[str, str]:
     """Return the versions of the packages that a peer's environment was made for."""
-    names = [one.split("=")[0].split("<")[0] for one in read_dependencies(script)] or ["scipy"]
+    names = [one.split("=")[0].split("<")[0] for one in read_dependencies(script) or script.stem.split("_")[1:]]
+    names = [one for one in names if one != "klipper"]  # its formulas are written down here
     code = "import sys; from importlib.metadata import version; print(*map(version, sys.argv[1:]))"
     return dict(zip(names, run([python, "-c", code, *names])[0].split(), strict=True))
 
