@@ -7,7 +7,6 @@ import time
 from typing import Any
 
 import sampling  # first
-import stretch
 from peers_posteriors import PlainDensity
 from telescope_problem import SEED, Problem
 
@@ -106,8 +105,6 @@ def run_stretch(density: PlainDensity, z: Array, seconds: float) -> dict[str, An
     while time.process_time() - begun < seconds:
         state = sampler.run_mcmc(state, 50, skip_initial_state_check=True)
     spent = time.process_time() - begun
-    flat = z.reshape(-1, n)
-    chain = np.swapaxes(sampler.get_chain(), 0, 1)
-    times = stretch.sum_autocorrelation((chain - flat.mean(axis=0)) / flat.std(axis=0))
-    ess = chain.shape[0] * chain.shape[1] / times.max()
+    times = sampler.get_autocorr_time(quiet=True)  # of runs that are too short: too little
+    ess = len(start) * sampler.iteration / times.max()
     return {"seconds": spent, "ess_at_most": float(ess), "ess_per_second": float(ess / spent)}

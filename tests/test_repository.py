@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.util
 import json
 import os
 import re
@@ -27,6 +29,8 @@ TINY = {
     "peers.py --posteriors lengths --seconds 1 --steps 5 --warm-up 50 --draws 50 --live 50": (
         *("jax", "numpyro", "dynesty", "nautilus"),
     ),
+    "peers_machines.py --machines flsun_v400 --peers bayescal klipper scipy --effort quick": (),
+    "peers_machines.py --machines ur10 mmt_mount --peers scipy": (),
     "pose_selection.py --candidates 300 --iterations 5 --sets 5": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
@@ -35,6 +39,9 @@ TINY = {
 }
 """By command: what it needs that the tests do not."""
 PARTS = {"jax_density", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
+
+OF_PEERS = {"astropy", "dynesty", "figaroh", "jax", "nautilus", "numpyro"}
+OF_PEERS |= {"pytelpoint", "robotkinecal", "roboticstoolbox", "yaml"}
 
 ADDED = {
     "compute": "from bayescal.experiments.added import page",
@@ -78,6 +85,27 @@ def test_a_benchmark_runs_tiny(command, tmp_path):
 def test_every_benchmark_is_run():
     run = {command.split()[0].removesuffix(".py") for command in TINY}
     assert run | PARTS == {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+
+
+def test_benchmarks_import_what_exists():
+    """Those too that are run nowhere, for want of a peer: modules, and names of the package."""
+    ours = [path for folder in ("benchmarks", "experiments", "tests") for path in (ROOT / folder).rglob("*.py")]
+    named = {one for path in ours for one in (path.stem, *path.relative_to(ROOT).parts[:-1])}
+    known = {*sys.stdlib_module_names, *OF_PEERS, *named}
+    for path in sorted((ROOT / "benchmarks").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                modules = [one.name for one in node.names]
+            else:
+                modules = [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            for module in modules:
+                root = module.partition(".")[0]
+                assert root in known or importlib.util.find_spec(root), f"{path.name} imports {module}"
+                if root == "bayescal" and isinstance(node, ast.ImportFrom):
+                    found = importlib.import_module(module)
+                    for one in node.names:
+                        has = hasattr(found, one.name) or importlib.util.find_spec(f"{module}.{one.name}")
+                        assert has, f"{path.name} imports {one.name} of {module}"
 
 
 @pytest.mark.runs
