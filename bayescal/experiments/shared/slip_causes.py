@@ -398,8 +398,8 @@ def _list_tolerances(readings: VariantReadings) -> Iterator[Cause]:
 def _say_tolerance(which: str, size: Array) -> str:
     times = format_significant(float(max(size[0], 1.0 / size[0])), 2)
     if size[0] < 1.0:
-        return f"the tolerance of {which} is about {times} times too wide: narrow its prior"
-    return f"the tolerance of {which} is about {times} times too tight: widen its prior"
+        return f"the tolerance of {which} is about {times} times too wide: state narrower ones"
+    return f"the tolerance of {which} is about {times} times too tight: state wider ones"
 
 
 def _list_couplings(readings: VariantReadings) -> Iterator[Cause]:

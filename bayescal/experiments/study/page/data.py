@@ -91,7 +91,10 @@ def state_data(study: StudyResults) -> list[Statement]:
     keys: dict[str, tuple[Level, str]] = {"found": ("plain", "Frames"), "unused": ("warning", "Data")}
     for key, (level, lead) in (keys | {"missing_terms": ("plain", LEAD)}).items():
         if key in summary:
-            found.append(Statement(f"{capitalise(str(summary[key])).rstrip('.')}.", level, lead))
+            text, several = str(summary[key]), str(summary[key]).count("; ") + 1
+            if key == "found" and several > 1:  # their values are what `validate` says, and the page's parameters
+                text = f"what is not stated of {several} instruments is estimated with wide priors"
+            found.append(Statement(f"{capitalise(text).rstrip('.')}.", level, lead))
     fit = study.fit(study.chosen)
     n, m = get_number(fit, "n_equations"), fit["n_parameters"]
     if n < m:
