@@ -46,6 +46,19 @@ def test_an_arm_seen_by_a_tracker(call, tmp_path):
     assert inside.between(0.85, 0.93).all()
 
 
+@pytest.mark.slow
+def test_five_times_the_rows_tell_compliance(call, tmp_path):
+    code, *_ = call("run", UR10 / "study_300.toml", "--out", tmp_path / "out", "--workers", 2)
+    assert code == 0
+    tables = read_tables(tmp_path / "out")
+    variants = tables["variants"].set_index("variant")
+    assert variants["converged"].all()
+    assert variants.loc["compliance", "log_evidence"] > variants.loc["links", "log_evidence"] + 50.0
+    apart, inside = measure_tool(tables)
+    assert apart["compliance"] < 0.39 < apart["links"] < 0.5
+    assert inside.between(0.85, 0.96).all()
+
+
 @pytest.mark.runs
 def test_an_arm_whose_ball_sat_in_sockets(call, tmp_path):
     code, *_ = call("run", PANDA / "study.toml", "--out", tmp_path / "out", "--workers", 2)
