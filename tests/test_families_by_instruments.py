@@ -396,3 +396,17 @@ def test_what_makes_no_sense_is_refused_in_a_line(name, instrument, said):
     with pytest.raises(bc.InputError, match=re.escape(said)) as caught:
         recover(name, 0, instrument)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["five_bar", "line_machine in a plane", "sliding_platform"])
+@pytest.mark.parametrize(
+    ("instrument", "said"),
+    [
+        ("distance", "instruments.it: anchor_mm: missing, expected its value: the tool keeps to a plane"),
+        ("plane", "instruments.it: tilt_deg: missing, expected its value: the tool keeps to a plane"),
+    ],
+)
+def test_what_a_tool_in_a_plane_does_not_tell_has_to_be_stated(monkeypatch, name, instrument, said):
+    monkeypatch.setitem(FAMILIES, name, replace(FAMILIES[name], planar=False))
+    with pytest.raises(bc.InputError, match=re.escape(said)):
+        recover(name, 0, instrument)

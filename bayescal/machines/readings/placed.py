@@ -153,6 +153,11 @@ class Instrument(ReadingMachine):
         del seen, position, rotation
         return False
 
+    def list_hidden(self, is_flat: bool) -> Mapping[str, str]:
+        """Return symbols that no readings tell, with why, of a target that keeps to a plane or not; none by default."""
+        del is_flat
+        return {}
+
 
 UNSTATED = (float("nan"),) * 3
 
@@ -289,6 +294,10 @@ class DistanceInstrument(Instrument):
         found = [{"anchor": anchor} for anchor in fit_anchor(points, seen[:, 0] + zero, False)]
         both = [{"anchor": one[:3], "zero": one[3:]} for one in fit_anchor(points, seen[:, 0], True)]
         return [{}, *found, *both]
+
+    def list_hidden(self, is_flat: bool) -> Mapping[str, str]:
+        """Return the anchor beside a plane; see `Instrument.list_hidden`."""
+        return {"anchor": "the tool keeps to a plane, and both sides of it fit alike"} if is_flat else {}
 
 
 def _state(value: float | list[float] | Literal["found"] | None, unstated: tuple[float, ...]) -> tuple[float, ...]:

@@ -94,6 +94,10 @@ class PlaneInstrument(Instrument):
             found += fit_plane_and_tip(position, rotation)
         return [{}, *(self._name(one) for one in found)]
 
+    def list_hidden(self, is_flat: bool) -> Mapping[str, str]:
+        """Return the tilt of a plane that another one meets along a line; see `Instrument.list_hidden`."""
+        return {"tilt": "the tool keeps to a plane, and touches along a line"} if is_flat else {}
+
     def _name(self, found: Array) -> dict[str, Array]:
         """Return a plane (4,), with a tip (7,), by symbol; of both its sides the one that faces the stated way."""
         side = 1.0 if found[:3] @ self.normal >= 0.0 else -1.0

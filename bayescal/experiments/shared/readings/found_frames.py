@@ -42,6 +42,8 @@ OUTLYING = 3.0  # times the usual residual, from which on least squares take les
 FITS = 5.0  # rms of readings over what tolerances and noise explain, up to which a frame is said to fit
 TRAVEL = 0.02  # of how far the tool moves, that a frame has to miss readings by to be said not to fit
 A_STEP = 2.0  # times the rms of the found frame: least squares find the way from a stated one whose first step ends so
+ANYWHERE, ASIDE, FLAT = 40, np.array([40.0, 50.0, 60.0]), 1e-9
+"""Poses of the workspace, a point fixed to the tool, and of how far it goes, by which it is off a plane."""
 CONTRADICTED = 10.0  # standard deviations by which a stated frame is refused
 TURN = 2.0 * np.pi
 DETERMINED = 1e-9  # of the largest singular value of the slopes by the pose
@@ -259,7 +261,21 @@ class _Search:
             return None
         lost = np.concatenate([model.layout.index[one] for one in unstated] or [np.empty(0, dtype=int)])
         problem = _Problem(model, self.theta[own], sd, np.isin(np.arange(len(sd)), lost), self.tool[rows], seen[rows])
+        for symbol, why in problem.instrument.list_hidden(self.is_flat).items():
+            if symbol in unstated:
+                raise InputError(f"instruments.{model.name}: {_key(symbol, model)}: missing, expected its value: {why}")
         return replace(problem, scale=self._scale(model, noise[rows])).solve()
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether the tool, and whatever is fixed to it, keeps to a plane wherever the machine goes."""
+        whole = self.placed.whole
+        shift = np.random.default_rng(0).uniform(-1.0, 1.0, (ANYWHERE, len(whole.home_pose)))
+        tool = self.placed.place_tool(self.theta, whole.home_pose + whole.pose_scale * shift)
+        point = tool[:, :3] + (_turn(tool[:, 3:]) @ ASIDE)
+        point = point[np.isfinite(point).all(axis=1)]
+        spread = np.linalg.svd(point - point.mean(axis=0), compute_uv=False)
+        return bool(len(point) > len(spread) and spread[-1] <= FLAT * spread[0])
 
     def _scale(self, model: FunctionModel, noise: Array) -> Array:
         """Return how far readings may lie from what is expected by noise and tolerances, (K,)."""
@@ -338,7 +354,8 @@ class _Problem:
         return self.sd > 0.0
 
     @property
-    def _instrument(self) -> Instrument:
+    def instrument(self) -> Instrument:
+        """The instrument itself."""
         assert isinstance(self.model.machine, Instrument)
         return self.model.machine
 
@@ -397,7 +414,7 @@ class _Problem:
         with np.errstate(all="ignore"):
             turned = _turn(rotation)
             with name_faults(f"instruments.{self.model.name}"):
-                proposed = self._instrument.propose(by_symbol, self.seen, position, turned)
+                proposed = self.instrument.propose(by_symbol, self.seen, position, turned)
         starts = []
         for one in proposed:
             values = self.stated.copy()
@@ -460,7 +477,7 @@ class _Problem:
         )
 
     def _check_hand(self, name: str, fits: float) -> None:
-        if fits > FITS and self._instrument.find_mirrored(self.seen, self.tool[:, :3], _turn(self.tool[:, 3:])):
+        if fits > FITS and self.instrument.find_mirrored(self.seen, self.tool[:, :3], _turn(self.tool[:, 3:])):
             raise InputError(f"{name}: readings are left-handed: check signs and order of x, y, z")
 
     def _check_stated(self, name: str, start: Array, found: Array, share: float, known: np.ndarray) -> None:
