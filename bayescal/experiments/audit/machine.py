@@ -226,7 +226,8 @@ def plan_random(
     """
     assert section.count is not None
     if section.sampling == "workspace" or model.contacts:
-        pose, _ = draw_standing(model, workspace, theta, given, section.count, rng)
+        # of what goes beyond the ranges the audit says that it does
+        pose, _ = draw_standing(model, workspace, theta, given, section.count, rng, in_range=False)
         found = PlannedPoses(count_poses(section.count), pose, dict(given))
         if not model.contacts:
             return found

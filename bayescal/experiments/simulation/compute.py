@@ -122,7 +122,7 @@ class ReadingPlan:
         drawn = self._draw_machine(rng)  # in any case, so that a given truth leaves poses and noise as they are
         theta = round_as_written(drawn if self.truth is None else self.truth)
         given = draw_given(config.conditions, self.n_poses, rng)
-        pose, exact = draw_standing(model, self.workspace, theta, given, self.n_poses, rng)
+        pose, exact = draw_standing(model, self.workspace, theta, given, self.n_poses, rng, in_range=True)
         error = self.noise * rng.standard_normal(exact.shape)
         if model.contacts:
             pose, read = lead_to_contact(model, self.workspace, theta, given, pose, error, rng)

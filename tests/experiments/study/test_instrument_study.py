@@ -241,7 +241,7 @@ FAULTS = {
         "another unit": (
             "data/poses.csv",
             swap_column("rx_deg", "rx_rad"),
-            "found column 'rx_rad', did you mean 'rx_deg'",
+            "readings of rx seem to be in degrees",
         ),
         "metres": ("data/poses.csv", scale_columns(("x_mm", "y_mm", "z_mm"), 1e-3), "metres, expected mm"),
         "radians": (
@@ -290,7 +290,7 @@ FAULTS = {
             scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180),
             "station 'north': found points 826",
         ),
-        "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "found column 'azimuth_rad'"),
+        "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "azimuth_deg: found"),
         "no noise": (
             "points.toml",
             lambda text: re.sub(r"(range|azimuth|elevation)_\w+ = .*\n", "", text),

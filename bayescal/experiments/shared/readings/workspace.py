@@ -174,11 +174,17 @@ def draw_given(bounds: Mapping[str, list[float]], count: int, rng: np.random.Gen
 
 
 def draw_standing(
-    model: ReadingModel, workspace: Workspace, theta: Array, given: Given, count: int, rng: np.random.Generator
+    model: ReadingModel,
+    workspace: Workspace,
+    theta: Array,
+    given: Given,
+    count: int,
+    rng: np.random.Generator,
+    in_range: bool,
 ) -> tuple[Array, Array]:
     """Return poses (P, q) of the workspace at which a machine (D,) stands, and its readings there (P, K).
 
-    InputError where few poses are within reach and within the ranges of the commanded channels.
+    With ``in_range`` commanded channels keep to their ranges, too. InputError where there are few such poses.
     """
     pose, exact = np.empty((count, len(workspace.low))), np.empty((count, len(model.channels)))
     rows = np.arange(count)
@@ -186,7 +192,7 @@ def draw_standing(
         from_rows = np.repeat(rows, EACH if tried >= SINGLE else 1)
         some = round_as_written(workspace.draw(len(from_rows), rng))
         read = model.read(theta, some, {name: value[from_rows] for name, value in given.items()})
-        found = np.isfinite(read).all(axis=1) & ~model.find_beyond(read).any(axis=1)
+        found = np.isfinite(read).all(axis=1) & ~(in_range & model.find_beyond(read).any(axis=1))
         there, first = np.unique(from_rows[found], return_index=True)
         pose[there], exact[there] = some[found][first], read[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
