@@ -91,7 +91,7 @@ class Family:
         """Return n poses within reach of a machine (D,), and what has to be known there."""
         space = build_workspace(model, self.sections.get("workspace", {}), UnitsConfig()).widen(self.inner)
         given = {name: np.full(n, 20.0) for name in model.given}  # °C and degrees
-        return draw_standing(model, space, theta, given, n, rng)[0], given
+        return draw_standing(model, space, theta, given, n, rng, in_range=True)[0], given
 
 
 # --- instruments -----------------------------------------------------------------------------------------------------
