@@ -37,6 +37,7 @@ real: $(STAMP)
 	$(THREADS) $(BIN)/bayescal run experiments/jugglebot/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/panda_socket/study.toml
 	$(THREADS) $(BIN)/bayescal run experiments/ur10/study.toml
+	$(THREADS) $(BIN)/bayescal run experiments/ur10/study_300.toml
 
 audits: $(STAMP)
 	@for design in $(filter-out %_mechanism.toml %_tracker.toml,$(wildcard experiments/audit/*.toml)); do \
