@@ -95,9 +95,9 @@ def explore(
 ) -> Exploration:
     """Find the modes, straighten the coordinates and fit a proposal.
 
-    Laplace's approximation first. Curved ridges are traced to their ends, and what data hold follows what is loose:
-    how long and how bent these are no trial of a Gaussian shows. Where a trial shows that it is not good enough, peaks
-    refined over a posterior sd in coordinates bent to fit, twice; then pilot runs. Where what the density leaves out
+    Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
+    shows. Where a trial shows that it is not good, what data hold follows what is loose; where it is not good enough,
+    peaks refined over a posterior sd in coordinates bent to fit, twice; then pilot runs. Where what the density leaves out
     matters to draws of the posterior, all of it is done again with the posterior's finer density, unless a share
     ``fine_enough`` of them counts by that: less is enough where what was found is corrected. With ``from_prior`` the
     search for modes begins from draws of the prior, too.
@@ -179,7 +179,7 @@ def _fit_proposal(
 ) -> Exploration:
     """Straighten the coordinates around known modes and fit a proposal; it is sharpened until it is good enough.
 
-    With ``trace`` ridges are traced, and what is loose is followed, however good it is.
+    With ``trace`` ridges are traced however good it is, and what is loose is followed until it is good.
     """
     trial_seed, *pilot_seeds = seed.spawn(1 + MAX_PILOTS)
     trial_rng = np.random.default_rng(trial_seed)
@@ -190,7 +190,7 @@ def _fit_proposal(
     if straight.conditional is not None:  # nothing sharper is known than geometry given the errors in closed form
         peaks[0], enough = _peak_of_errors(straight), min(enough, ACCEPTABLE)
     best = _try_peaks(straight, peaks, modes, trial_rng)
-    if trace or best.efficiency < enough:
+    if best.efficiency < (GOOD_ENOUGH if trace else enough):
         best = _follow_loose(best, seed)
         straight = best.straight
     if best.efficiency < enough and (exact := straight.exactly()) is not None:
