@@ -65,7 +65,7 @@ offset = {{ prior = "normal", sd = 0.5 }}
 
 
 REPEATS = "# how well the joints repeat"
-NOWHERE = "[instruments]                            # nobody has to know where {} stand{}\n"
+NOWHERE = "[instruments]                            # the place of each is found\n"
 
 
 def recognise(name: str, text: str) -> bool:
@@ -137,8 +137,7 @@ def _write_audit(name: str, instrument: str, slides: Sequence[bool], places: Map
         wide = 'tracker_frame = { prior = "normal", sd = 1000.0 }\ntracker_frame_r = { prior = "normal", sd = 30.0 }\n'
         noise, by = "tracker = { noise_mm = 0.02 }\n", "a tracker"
     else:
-        some = ["it", "s"] if len(places) == 1 else ["they", ""]
-        section, wide, noise, by = NOWHERE.format(*some), "", "", "a ball in a socket"
+        section, wide, noise, by = NOWHERE, "", "", "a ball in a socket"
         for socket, there in places.items():
             where = ", ".join(f"{x:.1f}" for x in there)
             section += f'{socket} = {{ kind = "socket", place_mm = [{where}] }}\n'

@@ -97,8 +97,8 @@ def explore(
 
     Laplace's approximation first. Curved ridges are traced to their ends: how long they are no trial of a Gaussian
     shows. Where a trial shows that it is not good, what data hold follows what is loose; where it is not good enough,
-    peaks refined over a posterior sd in coordinates bent to fit, twice; then pilot runs. Where what the density leaves out
-    matters to draws of the posterior, all of it is done again with the posterior's finer density, unless a share
+    peaks refined over a posterior sd in coordinates bent to fit, twice; then pilot runs. Where what the density leaves
+    out matters to draws of the posterior, all of it is done again with the posterior's finer density, unless a share
     ``fine_enough`` of them counts by that: less is enough where what was found is corrected. With ``from_prior`` the
     search for modes begins from draws of the prior, too.
 

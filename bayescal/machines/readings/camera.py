@@ -1,8 +1,8 @@
 """A camera and a calibration board, one of them on the tool: poses of the board as the camera sees it.
 
 OpenCV's ``solvePnP`` returns them: ``tvec`` and ``rvec`` of the board's frame in the camera's. With the tool at T, what
-stands still at F in the base frame and what rides at X on the tool, a camera that stands still (eye to hand) sees
-F⁻¹ T X, one on the tool (eye in hand) the inverse. Neither F nor X is known; they follow from A X = Z B.
+is fixed at F in the base frame and what is at X on the tool, a fixed camera (eye to hand) sees F⁻¹ T X, one on
+the tool (eye in hand) the inverse. Neither F nor X is known; they follow from A X = Z B.
 
 The unit of ``tvec`` is the square of the board. Where squares are larger than was stated by a share κ, it reads
 1 / (1 + κ) of the distance. With κ free an arm's lengths and both frames may grow alike: the scale is known by
@@ -30,12 +30,12 @@ LEAST_ROWS = 3
 
 
 class CameraConfig(PoseConfig):
-    """A camera that sees a calibration board: one of them on the tool, the other stands still."""
+    """A camera that sees a calibration board: one of them on the tool, the other fixed."""
 
     mounted: Literal["base", "tool"]
-    """Where the camera is: it stands still (`base`, eye to hand), or is on the tool (`tool`, eye in hand)."""
+    """Where the camera is: fixed (`base`, eye to hand), or on the tool (`tool`, eye in hand)."""
     frame_mm: Vector | None = None
-    """Where the frame of what stands still has its origin, base frame; a study finds it where nothing is said."""
+    """Where the frame of what is fixed has its origin, base frame; a study finds it where nothing is said."""
     frame_deg: Vector | None = None
     """Rotation vector that turns the base's axes to its axes; a study finds it where nothing is said."""
     target_mm: Vector | Literal["found"] | None = "found"
