@@ -51,7 +51,7 @@ WRONG_ELPD = 1.0  # nats of all rows left out, beside what everything on says
 SLOWER = 1.25  # CPU seconds over those of everything on that are no chance
 CHECKS = (
     *("R-hat", "bulk ESS", "tail ESS", "mode search", "bridge sampling", "log-evidences differ", "Pareto k"),
-    *("effective importance draws", "stuck walker", "overdispersed", "in tails", "exact density"),
+    *("effective importance draws", "stuck walker", "in tails", "exact density"),
 )
 """Words by which problems are known."""
 

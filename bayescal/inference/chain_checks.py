@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import Exploration, weigh_proposal
 from bayescal.inference.importance import ImportanceEvidence, evaluate_in_batches
 from bayescal.inference.proposal import MixtureProposal
@@ -36,9 +35,6 @@ HEAVIER = (20.0, 10.0, 6.0, 4.0)  # degrees of freedom
 
 LEAST_LACKING = 0.01  # of a posterior: a smaller share moves no interval that matters
 TAIL_LIMIT = 2.5  # standard errors; of one posterior in two hundred with such tails that lacks nothing
-N_STEPS = 20
-RARE, FEWEST = 1e-3, 20  # share of the other draws beyond the quantiles, and how many these are at least
-FALSE_ALARM = 1e-4  # of a posterior with all its coordinates
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,49 +199,3 @@ def find_rare_ratio(far: TailDraws, exploration: Exploration) -> float:
     beyond = np.cumsum(weights) + 2.0 * np.sqrt(np.cumsum(weights**2))
     rare = int(np.searchsorted(beyond, HARMLESS))
     return float(ratio[order[rare]]) if rare else np.inf
-
-
-@dataclass(frozen=True)
-class OverdispersedCheck:
-    """How many of so many chains stayed beyond other draws' quantiles, in the worst coordinate, and its limit."""
-
-    n_apart: int
-    n_walkers: int
-    limit: int
-
-    def list_problems(self) -> list[str]:
-        """Return in words whether they did; empty where hardly any did."""
-        if self.n_apart < self.limit:
-            return []
-        said = f"{self.n_apart} of {self.n_walkers} overdispersed walkers did not reach the main mode"
-        return [f"{said}, limit {self.limit}"]
-
-
-def run_overdispersed_chains(
-    exploration: Exploration, sample: Sample, far: TailDraws, seed: np.random.SeedSequence
-) -> OverdispersedCheck:
-    """Return where walkers that start far out end, against draws of ensembles that did not.
-
-    Ensembles that all start from one proposal agree about what that proposal misses. These start elsewhere, as Gelman
-    and Rubin (1992) advise: at draws from farther out that their weights give mass. Where nothing is missed a few steps
-    turn them into draws like all others. Where mass was missed, in a tail, beyond a bend or in a mode of its own, some
-    stay: jumps that seldom lead there seldom are accepted from there. How many may has a binomial bound.
-    """
-    from scipy.stats import binom  # a second to import, for those who sample
-
-    n_walkers, n = sample.straight.shape[1], sample.straight.shape[-1]
-    known = np.flatnonzero(np.isfinite(far.log_weights))
-
-    def draw(n: int, rng: np.random.Generator) -> Array:
-        # those with the largest sums are n draws by weight, none of them twice (Gumbel)
-        return far.x[known[np.argsort(far.log_weights[known] + rng.gumbel(size=len(known)))[-n:]]]
-
-    density = exploration.straight.log_density
-    with stage("comparison of walkers", n_walkers * (N_STEPS + 2)):
-        run = run_ensemble(density, exploration.proposal, seed, n_walkers, N_STEPS, 1, draw)
-    last = np.column_stack([run.draws[:, -1], run.log_density[:, -1]])
-    others = np.column_stack([sample.straight.reshape(-1, n), sample.log_density.ravel()])
-    rare = min(1.0, max(RARE, FEWEST / len(others)))
-    low, high = np.quantile(others, [0.5 * rare, 1.0 - 0.5 * rare], axis=0)
-    apart = ((last < low) | (last > high)).sum(axis=0)
-    return OverdispersedCheck(int(apart.max()), n_walkers, int(binom.isf(FALSE_ALARM / (n + 1), n_walkers, rare)) + 1)

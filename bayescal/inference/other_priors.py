@@ -4,7 +4,7 @@ With p the posterior explored, of likelihood L and prior π, and π' another pri
 moves have the weights L(T x) π'(T x) |T| / p(x), whose mean is the ratio of the evidences
 (`bayescal.inference.correction`). T takes the normal nearest to p to the one that π' makes of it. Where the weights of
 the moved draws have a heavy tail or a large scatter no such map is known, and the posterior under π' has to be explored
-by itself.
+by itself. Wider priors may give mass to modes that no draw of p is near: that is for whoever asks to look for.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from bayescal.inference.correction import (
 )
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence, LogDensity, difference_twice
-from bayescal.inference.mode import find_modes
 from bayescal.inference.target import LogPosterior
 from bayescal.numerics.geometry import Array
 
 PROPOSED, DRAWN = 4000, 2048
 """Draws of the proposal, and those of the posterior among them."""
 WEIGHED = 512  # a round
-SCATTER = 0.04  # standard error in nats of the ratio beyond which the other posterior is explored
+SCATTER, ROUGH_SCATTER = 0.04, 0.15
+"""Standard error of the log-ratio, nats: one that is enough, and one beyond which moved draws say nothing."""
 STEP = 0.1  # of the posterior's standard deviations, for the curvature of the priors' ratio
 
 
@@ -43,7 +43,7 @@ def weigh_other_priors(
     costly: CostlyDensity | None = None,
     correction: Correction | None = None,
 ) -> dict[float, ImportanceEvidence]:
-    """Return the log-evidences under priors that are wider or narrower by factors, where moved draws tell them.
+    """Return the log-evidences under priors that are wider or narrower by factors, as far as moved draws have them.
 
     Parameters
     ----------
@@ -60,14 +60,11 @@ def weigh_other_priors(
     drawn = draw_to_correct(found, np.random.default_rng(seed), DRAWN, PROPOSED)
     result = {}
     for factor, other in others.items():
-        # narrower priors have no modes that wider ones lack; several that wider ones make probable no map takes along
-        if factor > 1.0 and len(find_modes(other)) > 1:
-            continue
         try:
             moved = _weigh(found, drawn, other, costly, correction)
         except (NumericalError, np.linalg.LinAlgError):
             continue
-        if moved.is_trusted and moved.is_known_to(SCATTER):
+        if moved.is_known_to(ROUGH_SCATTER):
             error = float(np.hypot(own.standard_error, moved.standard_error))
             result[factor] = ImportanceEvidence(
                 own.log_evidence + moved.log_ratio, error, moved.efficiency, moved.pareto_k, moved.n_draws
@@ -86,10 +83,11 @@ def _weigh(
     density, ratio = found.straight.log_density, _compare_priors(found, other)
     information = _curve(found, ratio, drawn[2])
     moved = correct(CostlyDensity(density, ratio, information), *drawn, WEIGHED)
-    if costly is None or correction is None or not moved.is_known_to(SCATTER):
+    if costly is None or correction is None or not moved.is_known_to(ROUGH_SCATTER):
         return moved
     whole = CostlyDensity(density, lambda x: ratio(x) + costly.excess(x), information)
-    return weigh_moved(whole, moved.move.then(correction.move), drawn[0], SCATTER)
+    enough = max(SCATTER, moved.standard_error)
+    return weigh_moved(whole, moved.move.then(correction.move), drawn[0], enough)
 
 
 def _compare_priors(found: Exploration, other: LogPosterior) -> LogDensity:

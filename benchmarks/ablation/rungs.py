@@ -16,7 +16,7 @@ import numpy as np
 from bayescal.experiments.shared import estimate
 from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.inference import bridge, conditional, exploration, mode, peaks, reparameterisation, ridges
-from bayescal.inference.chain_checks import OverdispersedCheck, TailShare
+from bayescal.inference.chain_checks import TailShare
 from bayescal.inference.proposal import proposal_from_draws
 
 NO_DIFFERENCE = (1.0, 0.0)
@@ -201,8 +201,6 @@ RUNGS = (
         ((exploration, "proposal_from_peaks"),),
         several=True,
     ),
-    Rung("adaptation", "adaptation", {(exploration, "adapt_proposal"): _nothing}),
-    Rung("pilots", "exploration", {(exploration, "MAX_PILOTS"): 0}, ((exploration, "_refit"),)),
     Rung("clusters", "exploration", {(exploration, "add_clusters"): _keep}),
     Rung("heavier tails", "chain_checks", {(estimate, "widen_tails"): _keep_both}),
     # draws
@@ -226,11 +224,5 @@ RUNGS = (
         "chain_checks",
         {(estimate, "compare_tail_mass"): lambda *_: TailShare(0.0, 0.0, 0.0)},
         says="in tails",
-    ),
-    Rung(
-        "overdispersed chains",
-        "chain_checks",
-        {(estimate, "run_overdispersed_chains"): lambda found, sample, *_: OverdispersedCheck(0, 1, 1)},
-        says="overdispersed",
     ),
 )

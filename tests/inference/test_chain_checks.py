@@ -13,7 +13,6 @@ from bayescal.inference.chain_checks import (
     compare_tail_mass,
     draw_tails,
     fit_tails,
-    run_overdispersed_chains,
 )
 from bayescal.inference.diagnostics import list_importance_problems
 from bayescal.inference.exploration import Exploration
@@ -85,21 +84,21 @@ def explored(density, proposal):
 
 
 def look(density, proposal, seed=1):
-    """Return the problems that other diagnostics name of a proposal and its sample, and those that scouts do."""
+    """Return the problems that other diagnostics name of a proposal and its sample, and those of the mass in tails."""
     found = explored(density, proposal)
-    first, second, third, fourth = np.random.SeedSequence(seed).spawn(4)
+    first, second, third = np.random.SeedSequence(seed).spawn(3)
     sample = sample_posterior(found, first, 4, 64, 20, 40)
-    weighed = estimate_by_importance(density, proposal, np.random.default_rng(third), 5000)
+    weighed = estimate_by_importance(density, proposal, np.random.default_rng(second), 5000)
     others = sample.diagnostics.list_problems()
     others += list_importance_problems(weighed.pareto_k, weighed.efficiency * weighed.n_draws)
-    return others, run_overdispersed_chains(found, sample, draw_tails(found, fourth), second).list_problems()
+    return others, compare_tail_mass(found, sample, draw_tails(found, third)).list_problems()
 
 
 def test_a_mode_that_all_others_are_blind_to_is_seen():
     """Two modes nine deviations apart, and a proposal of one of them: evidence wrong by log 2."""
-    others, scouts = look(two_modes, gaussian())
+    others, tails = look(two_modes, gaussian())
     assert not others
-    assert "25 of 64 overdispersed" in scouts[0]
+    assert "in tails" in tails[0]
 
 
 MISSED = {
@@ -118,8 +117,8 @@ CLEAN = {
 
 @pytest.mark.parametrize("name", MISSED)
 def test_what_a_proposal_misses_never_counts_as_converged(name):
-    others, scouts = look(*MISSED[name])
-    assert others + scouts
+    others, tails = look(*MISSED[name])
+    assert others + tails
 
 
 @pytest.mark.parametrize("name", CLEAN)

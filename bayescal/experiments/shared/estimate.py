@@ -27,13 +27,11 @@ from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
 from bayescal.inference.chain_checks import (
     N_DRAWS,
-    OverdispersedCheck,
     TailDraws,
     TailShare,
     compare_tail_mass,
     draw_tails,
     find_rare_ratio,
-    run_overdispersed_chains,
     widen_tails,
 )
 from bayescal.inference.correction import Correction, CostlyDensity, correct_draws, move_sample, sample_exactly
@@ -151,10 +149,7 @@ class Estimate:
     # with n_steps: for how many of its steps the most patient walker stood still, harmless visits to tails left out
     longest_stand: int
     n_steps: int
-    # where walkers that started far out ended, and what the draws have of the mass where the proposal seldom leads;
-    # None of a preliminary answer
-    overdispersed: OverdispersedCheck | None
-    tails: TailShare | None
+    tails: TailShare | None  # what draws have of the mass where the proposal seldom leads; None of a preliminary answer
     check: EvidenceCheck | None  # where the config asks for it
     correction: Correction | None  # what led to a density that leaves less out: draws and evidences are its own
     solutions: Solutions  # which of the draws (E, S) belongs to which of M separate ones
@@ -194,7 +189,7 @@ class Estimate:
     @property
     def is_preliminary(self) -> bool:
         """Whether its draws are those of importance sampling, which no chain has checked."""
-        return self.overdispersed is None
+        return self.tails is None
 
     @property
     def is_importance_trusted(self) -> bool:
@@ -232,9 +227,7 @@ class Estimate:
         if not self.gap <= AGREEMENT:
             problems.append(f"log-evidences differ by {self.gap:.2f}, limit {AGREEMENT}")
         problems += list_stand_problems(self.longest_stand, self.n_steps)
-        for check in (self.overdispersed, self.tails):
-            problems += [] if check is None else check.list_problems()
-        return problems
+        return problems + ([] if self.tails is None else self.tails.list_problems())
 
     def describe_evidence(self) -> Summary:
         """Return the evidence as columns of a table."""
@@ -420,7 +413,6 @@ def _estimate(
         bridge=shift_evidence(drawn.bridge, correction),
         longest_stand=0 if drawn.far is None else _measure_stand(found, sample, drawn.far, moved.log_evidence),
         n_steps=sample.log_density.shape[2],
-        overdispersed=drawn.overdispersed,
         tails=drawn.tails,
         check=None if drawn.check is None else shift_evidence(drawn.check, correction),
         correction=correction,
@@ -450,7 +442,6 @@ class _Drawn:
     sample: Sample
     bridge: BridgeEvidence = NO_BRIDGE
     far: TailDraws | None = None
-    overdispersed: OverdispersedCheck | None = None
     tails: TailShare | None = None
     check: EvidenceCheck | None = None
 
@@ -483,7 +474,6 @@ def _draw_by_chains(
         ),
         NO_BRIDGE,
     )
-    overdispersed = run_overdispersed_chains(found, sample, far, _seed_for(seed, name, "scouts"))
     tails = compare_tail_mass(found, sample, far)
     if effort.cross_check is not None:
         task = SamplingTask(found, _seed_for(seed, name, "tempered"), sampler, is_easy)
@@ -491,7 +481,7 @@ def _draw_by_chains(
         check = attempt(
             f"the evidence of {name!r} by {label_class(effort.cross_check)}", lambda: other.sample(task).evidence, None
         )
-    return found, importance, _Drawn(sample, bridge, far, overdispersed, tails, check)
+    return found, importance, _Drawn(sample, bridge, far, tails, check)
 
 
 def _is_enough(found: Exploration, importance: ImportanceEvidence, far: TailDraws, sample: Sample) -> bool:

@@ -1,9 +1,9 @@
 """How evidences hang on the widths of the priors: each variant's again, all priors wider or narrower by a factor.
 
 Most evidences follow from the fit's own draws (`bayescal.inference.other_priors`); a posterior that these do not reach
-is explored by itself. Only its evidence is wanted, to a few hundredths of a nat: a proposal need not be sharp. Narrower
-priors have no modes that wider ones about the same centres lack, so that these start where the study's own priors have
-theirs.
+is explored by itself. Only its evidence is wanted, to a few hundredths of a nat, or to a few tenths where a variant is
+out of the question: a proposal need not be sharp. Narrower priors have no modes that wider ones about the same centres
+lack, so that these start where the study's own priors have theirs; with wider ones others are searched for.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ from bayescal.inference.exploration import (
     weigh_proposal,
 )
 from bayescal.inference.importance import NO_PARETO, WORTH_ANOTHER, ImportanceEvidence
+from bayescal.inference.mode import Mode, find_modes
+from bayescal.inference.other_priors import SCATTER
 from bayescal.inference.schema import EvidenceConfig
 from bayescal.inference.target import LogPosterior
 from bayescal.limits import OUT_OF_QUESTION
@@ -46,8 +48,6 @@ NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
 """Of a width whose evidence could not be computed."""
 ERROR, ROUGH_ERROR = 0.03, 0.3
 """Standard error in nats that is enough; the latter for a variant that is out of the question."""
-PILOTS = 0
-"""Pilots of a proposal: a width costs less than the study's own fit, and its evidence has the error that it has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,8 @@ class WidthTask:
 
     ``modes`` (M, n) are those with the study's own priors, in sampling coordinates; ``behind`` is by how many nats of
     log-evidence the variant is behind the best then. ``is_hard`` is whether too few draws count for that evidence,
-    or its error is not to be trusted.
+    or its error is not to be trusted. ``moved`` is the evidence by the fit's own draws, which holds unless wider priors
+    have modes of their own.
     """
 
     variant: str
@@ -64,31 +65,40 @@ class WidthTask:
     modes: Array
     behind: float = 0.0
     is_hard: bool = False
+    moved: ImportanceEvidence | None = None
 
     @property
     def key(self) -> str:
         """A name that is also a file name."""
         return f"{stem_of(self.variant)}-factor-{self.factor!r}"
 
+    @property
+    def is_rough(self) -> bool:
+        """Whether the variant is out of the question, so that a rough evidence will do."""
+        return self.behind > OUT_OF_QUESTION
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the fit's own draws are enough, and no other mode need be looked for."""
+        return self.moved is not None and (self.is_rough or self.factor < 1.0)
+
 
 def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
-    """Return a task for every variant and every factor whose evidence the fit does not have.
+    """Return a task for every variant and every factor but one.
 
     The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
     """
     best = max(rank_evidence(fit.importance.log_evidence) for fit in fits.values())
-    tasks = [
-        WidthTask(
-            name,
-            factor,
-            fit.modes,
-            best - rank_evidence(fit.importance.log_evidence),
-            fit.importance.is_doubtful or fit.importance.efficiency < ACCEPTABLE,
-        )
-        for factor in factors
-        for name, fit in fits.items()
-        if factor != 1.0 and factor not in fit.widths
-    ]
+    tasks = []
+    for factor in (factor for factor in factors if factor != 1.0):
+        for name, fit in fits.items():
+            own, moved = fit.importance, fit.widths.get(factor)
+            behind = best - rank_evidence(own.log_evidence)
+            enough = ROUGH_ERROR if behind > OUT_OF_QUESTION else math.hypot(own.standard_error, SCATTER)
+            if moved is not None and moved.standard_error > enough:
+                moved = None
+            is_hard = own.is_doubtful or own.efficiency < ACCEPTABLE
+            tasks.append(WidthTask(name, factor, fit.modes, behind, is_hard, moved))
     return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
 
 
@@ -99,12 +109,13 @@ def begin_widths(
 
     They are by factor and variant.
     """
-    tasks = {task.key: task for task in list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)}
-    known = {(factor, name): one for name, fit in fits.items() for factor, one in fit.widths.items()}
-    if not tasks or inputs.config.sampler.is_preliminary:
+    tasks = list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)
+    known = {(task.factor, task.variant): task.moved for task in tasks if task.is_done and task.moved is not None}
+    left = {task.key: task for task in tasks if not task.is_done}
+    if not left or inputs.config.sampler.is_preliminary:
         return lambda: known
-    wait = run.begin("prior widths", weigh_widths, inputs, tasks, (ImportanceEvidence,), spare=True)
-    return lambda: known | {(tasks[key].factor, tasks[key].variant): found for key, found in wait().items()}
+    wait = run.begin("prior widths", weigh_widths, inputs, left, (ImportanceEvidence,), spare=True)
+    return lambda: known | {(left[key].factor, left[key].variant): found for key, found in wait().items()}
 
 
 def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
@@ -112,14 +123,18 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     config, variant = inputs.config, inputs.variants[task.variant]
     seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
     subject, known = ReadingSubject(variant.posterior(factor=task.factor).with_pose_guesses()), variant.posterior()
+    others: list[Mode] = []
+    if task.factor > 1.0 and not (task.is_hard or task.is_rough):
+        others = find_modes(subject.posterior)
+        if task.moved is not None and len(others) == 1:
+            return task.moved
     starts = subject.posterior.to_coordinates(known.theta(task.modes), task.modes[:, known.n_geometry :])
-    is_rough = task.behind > OUT_OF_QUESTION
-    draws = min(FEW_DRAWS if is_rough else DRAWS, config.evidence.draws)
-    error = max(ROUGH_ERROR if is_rough else ERROR, config.evidence.tolerance_nat)
+    draws = min(FEW_DRAWS if task.is_rough else DRAWS, config.evidence.draws)
+    error = max(ROUGH_ERROR if task.is_rough else ERROR, config.evidence.tolerance_nat)
     effort = config.evidence.model_copy(update={"draws": draws, "tolerance_nat": error})
-    exploration, importance = _weigh(task, subject.posterior, starts, seeds, config.sampler.walkers, effort)
+    exploration, importance = _weigh(task, subject.posterior, starts, others, seeds, effort)
     costly = subject.find_costly(exploration)
-    enough = ROUGH_ERROR if is_rough else KNOWN_ENOUGH
+    enough = ROUGH_ERROR if task.is_rough else KNOWN_ENOUGH
     return shift_evidence(
         importance, None if costly is None else correct_evidence(costly, exploration, seeds[2], enough)
     )
@@ -129,8 +144,8 @@ def _weigh(
     task: WidthTask,
     posterior: LogPosterior,
     starts: Array,
+    others: Sequence[Mode],
     seeds: Sequence[np.random.SeedSequence],
-    walkers: int,
     effort: EvidenceConfig,
 ) -> tuple[Exploration, ImportanceEvidence]:
     """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question.
@@ -138,28 +153,19 @@ def _weigh(
     Where the study's own priors have a poor proposal after all its effort no search of another follows: the evidence
     is stated with the error and the tail that it has.
     """
-    search, found = task.factor > 1.0 and not task.is_hard, list[tuple[Exploration, ImportanceEvidence]]()
+    found = list[tuple[Exploration, ImportanceEvidence]]()
     try:
-        for enough in (WORTH_ANOTHER,) if task.is_hard else (ACCEPTABLE, GOOD_ENOUGH):
-            exploration = explore_near(
-                posterior,
-                starts,
-                seeds[0],
-                walkers,
-                search=search,
-                enough=enough,
-                fine_enough=CORRECTABLE,
-                max_pilots=PILOTS,
-            )
+        for enough in (WORTH_ANOTHER,) if task.is_hard or task.is_rough else (ACCEPTABLE, GOOD_ENOUGH):
+            exploration = explore_near(posterior, starts, seeds[0], others, enough=enough, fine_enough=CORRECTABLE)
             found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
-            if not found[-1][1].is_doubtful or task.is_hard or task.behind > OUT_OF_QUESTION:
+            if not found[-1][1].is_doubtful or task.is_hard or task.is_rough:
                 return found[-1]
             if exploration.efficiency < ACCEPTABLE:
                 break  # it was sharpened as far as that goes
-            starts, search = np.stack([mode.y for mode in exploration.modes]), False
+            starts, others = np.stack([mode.y for mode in exploration.modes]), ()
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, seeds[0], walkers, PILOTS, from_prior=True, fine_enough=CORRECTABLE)
+    exploration = explore(posterior, seeds[0], from_prior=True, fine_enough=CORRECTABLE)
     found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
     best = found.pop()
     for other in found:

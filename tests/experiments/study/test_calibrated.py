@@ -34,7 +34,7 @@ def finished(tmp_path_factory) -> Path:
     path = studies.write_tiny_study(folder)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(frame, "write_page", lambda page, folder, *more: folder)
-        for name, value in {"MAX_PILOTS": 0, "MAX_ROUNDS": 0, "TRIAL_DRAWS": 100}.items():
+        for name, value in {"MAX_ROUNDS": 0, "TRIAL_DRAWS": 100}.items():
             patched.setattr(f"bayescal.inference.exploration.{name}", value)
         frame.run_experiment(load_experiment(path), folder, folder / "out")
     return folder

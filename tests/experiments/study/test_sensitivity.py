@@ -108,7 +108,7 @@ def test_a_doubtful_evidence_is_mended_where_that_may_help_a_variant_in_question
 ):
     inputs = load(tmp_path, ("prior_width_factors = [1.0]", "prior_width_factors = [1.0, 0.5]"))
     variant = inputs.config.variants[0].name
-    found = explore(inputs.variants[variant].posterior(factor=0.5).with_pose_guesses(), np.random.SeedSequence(1), 64)
+    found = explore(inputs.variants[variant].posterior(factor=0.5).with_pose_guesses(), np.random.SeedSequence(1))
     said: list[str] = []
 
     def note(word):
