@@ -17,7 +17,7 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import PoseCommands, PosePrediction, is_pose
 from bayescal.data.actuators import check_travel
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
 from bayescal.files.csv_tables import CsvTable, format_table, read_table
 from bayescal.machines.readings import Channel, Coordinate
 from bayescal.numerics.geometry import Array
@@ -60,20 +60,28 @@ def read_quantities(table: CsvTable, wanted: Sequence[Channel | Coordinate], pre
     for k, one in enumerate(wanted):
         if k in turned:
             continue
-        known = {f"{prefix}{one.stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
-        there = [name for name in table.columns if name in known]
+        there = _find_columns(table, one, prefix)
         if not there:
-            listed = " or ".join(dict.fromkeys([f"{prefix}{one.stem}_{one.unit}", *known]))
+            units = dict.fromkeys([one.unit, *units_like(one.unit)])
+            listed = " or ".join(f"{prefix}{one.stem}_{unit}" for unit in units)
             raise InputError(f"{table.path}: found no column '{prefix}{one.stem}_{one.unit}', expected {listed}")
         if len(there) > 1:
-            raise InputError(f"{table.path}: found columns {there[0]!r} and {there[1]!r}, expected one of them")
-        values[:, k] = known[there[0]] * table.numbers(there)[:, 0]
+            first, second = map(table.name, [*there][:2])
+            raise InputError(f"{table.path}: found columns {first!r} and {second!r}, expected one of them")
+        for column, size in there.items():
+            values[:, k] = size * table.numbers([column])[:, 0]
     if turned:
         values[:, turned] = read_rotation_vectors(table, prefix)
         whole = np.isfinite(values[:, turned]).all(axis=1)
-        expected = ", ".join(f"{prefix}{name}" for name in VECTOR)
+        expected = ", ".join(table.name(f"{prefix}{name}") for name in VECTOR)
         table.refuse(~whole, lambda _: f"found part of a rotation, expected {expected}")
     return values
+
+
+def _find_columns(table: CsvTable, quantity: Channel | Coordinate, prefix: str = "") -> dict[str, float]:
+    """Return the columns that hold a quantity, with the sizes of their units in its own."""
+    units = {f"{prefix}{quantity.stem}_{unit}": size for unit, size in units_like(quantity.unit).items()}
+    return {name: units[name] for name in table.columns if name in units}
 
 
 def _find_turned(wanted: Sequence[Channel | Coordinate]) -> list[int]:
@@ -147,12 +155,13 @@ def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
         least = MAX_TOOL_MISMATCH * np.abs(by_pose * model.pose_scale).sum(axis=-1)
     for k, m in np.argwhere(~(off <= least))[:1]:
         one = model.tool_channels[m]
-        unit, size = show_unit(calibrated, one)
-        raise InputError(
-            f"{table.where(int(k))}: {TOOL}{name_column(calibrated, one)}: found "
-            f"{tool[k, m] / size:.6g}, by the coordinates {own[k, m] / size:.6g} {unit}, expected the "
-            "same, or either"
-        )
+        _, size = show_unit(calibrated, one)
+        columns = _find_columns(table, one, TOOL) or {TOOL + name_column(calibrated, one): size}
+        for column, size in columns.items():
+            raise InputError(
+                f"{table.where(int(k))}: {table.name(column)}: found {tool[k, m] / size:.6g}, by the coordinates "
+                f"{own[k, m] / size:.6g}, expected the same, or either"
+            )
 
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
@@ -162,8 +171,7 @@ def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str,
     expected = [name_column(calibrated, one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
-    with name_faults(path):
-        check_travel(commands, model.command_range, channels, names)
+    check_travel(commands, model.command_range, channels, names, path)
     return names, commands, read_given(table, model.given)
 
 

@@ -37,7 +37,7 @@ from bayescal.data.instruments.read_poses import (
 )
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.readings import POSE, Given, Legs, locate_tool
@@ -297,8 +297,8 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
     turned = np.isfinite(readings.values[:, 3:])
     for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
         raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
-    with name_faults(path if actuators is None else actuators):
-        check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names)
+    table = path if actuators is None else actuators
+    check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names, table)
     readings.check_units(locate_tool(calibrated.model, readings.actuators), path)
     return readings
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from bayescal.data.actuators import (
     check_range,
     check_travel,
     choose_columns,
+    find_position,
     name_actuators,
     read_actuators,
 )
@@ -218,8 +220,9 @@ class InstrumentReader:
         found = self._read_targets(data) if data.kind == "targets" else self._read_tracked(data)
         if found.commands:
             poses = found.poses
-            with name_faults(self.folder / (data.actuators or data.file)):
-                check_travel(poses.actuators, self.machine.command_range, found.commands, poses.names)
+            path = self.folder / (data.actuators or data.file)
+            check_travel(poses.actuators, self.machine.command_range, found.commands, poses.names, path)
+            with name_faults(path):
                 check_moves(poses.actuators[~found.verification])
         return found
 
@@ -397,5 +400,5 @@ def _check_actuators(path: Path, n_legs: int, machine: Mechanism | None) -> None
     """Raise InputError for a table of actuator positions that is none, or that its machine does not reach."""
     names, _, actuators = read_actuators(path, name_actuators(n_legs))
     if machine is not None:
-        with name_faults(path):
-            check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names)
+        find = partial(find_position, path, [f"rho_{leg}" for leg in range(1, n_legs + 1)], "mm")
+        check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names, find)
