@@ -23,7 +23,7 @@ from bayescal.machines.readings import Channel, Coordinate
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
 
-REACHED = "reached"
+REACHED, MISFIT = "reached", "misfit_sd"
 NAMED = 12
 """Poses out of reach that a message names."""
 TOOL = "tool_"
@@ -132,7 +132,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> CommandedPoses:
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
     sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]
-    others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
+    others = ("use", MISFIT, *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
     expected = [name_column(calibrated, one) for one in model.pose_channels]
     expected += [f"or {', '.join(TOOL + name_column(calibrated, one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
@@ -187,6 +187,17 @@ def check_reached(commanded: CommandedPoses, command: PoseCommands) -> None:
         f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach "
         f"(--allow-unreachable marks them): {'; '.join(listed)}{more}"
     )
+
+
+def say_contradictory(path: Path, names: Sequence[str], prediction: PosePrediction) -> str:
+    """Return in a line at which commands contradict one another; empty where at none."""
+    if prediction.misfit is None or not prediction.contradictory.any():
+        return ""
+    some = np.flatnonzero(prediction.contradictory).tolist()
+    rows = sorted(some, key=(-prediction.misfit).__getitem__)
+    listed = [f"{names[k]!r} by {prediction.misfit[k]:.3g} sd" for k in rows[:NAMED]]
+    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"{path}: commands contradict one another at {', '.join(listed)}{more}: no pose, or another one"
 
 
 def check_found(path: Path, names: Sequence[str], prediction: PosePrediction) -> None:
@@ -249,6 +260,9 @@ def format_prediction(
             sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
             cells = np.concatenate([cells, sd], axis=1)
         rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
+    if prediction.misfit is not None:
+        columns += [MISFIT]
+        rows = [[*row, f"{one:.4g}"] for row, one in zip(rows, prediction.misfit, strict=True)]
     about = "Predicted coordinates" if whole else "Predicted tool (tool_...) and coordinates"
     about += ", base frame; rotation vector in degrees." if model.tool_turned else "."
     comments = [

@@ -140,7 +140,13 @@ def predict(
     from bayescal.calibrated.drawn_machines import draw_poses
     from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import check_determined, predict_poses
-    from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
+    from bayescal.calibrated.tables import (
+        check_found,
+        format_draws,
+        format_prediction,
+        read_commands,
+        say_contradictory,
+    )
 
     calibrated = take_one_place(options.load(results))
     check_out(out)
@@ -154,6 +160,8 @@ def predict(
         drawn = draw_poses(calibrated, positions, n_draws, np.random.default_rng(seed), given)
         put(format_draws(calibrated, names, drawn), draws_out)
     put(format_prediction(calibrated, names, found, given), out)
+    if said := say_contradictory(commands, names, found):
+        echo(said, err=True)
     _tell_missing(results, calibrated)
 
 
