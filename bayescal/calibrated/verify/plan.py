@@ -40,7 +40,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, Legs, locate_tool
+from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker, locate_tool
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -240,22 +240,39 @@ def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
     return model.reads_pose and not model.given and places == list(POSE) and list(model.names) == own
 
 
-def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
-    """Return the covariance of a measured pose (6, 6), mm and rad, of equal errors along all axes."""
-    sd = [MICROMETRE * position_um] * 3 + [ARCSECOND * orientation_arcsec] * 3
+def find_tracker(calibrated: CalibratedMachine) -> str | None:
+    """Return the name of the instrument that measured poses of the tool in a frame of its own; None without any."""
+    beside = calibrated.model.instruments if isinstance(calibrated.model, InstrumentedMachine) else ()
+    return next((one.name for one in beside if isinstance(one.machine, Tracker)), None)
+
+
+def build_covariance(position_um: float, orientation_arcsec: float | None) -> Array:
+    """Return the covariance of a measured pose (6, 6), mm and rad, of equal errors along all axes.
+
+    NaN of rotations that are not measured.
+    """
+    rotation = np.nan if orientation_arcsec is None else ARCSECOND * orientation_arcsec
+    sd = [MICROMETRE * position_um] * 3 + [rotation] * 3
     return np.diag(np.square(sd))
 
 
-def read_mean_covariance(path: Path) -> Array:
-    """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns."""
+def read_mean_covariance(path: Path, in_part: bool = False) -> Array:
+    """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns.
+
+    Of poses that may be measured in part, NaN where the table has no noise.
+    """
     upper, lower = name_covariances(POSE)
     table = read_table(path, ("pose",), (*read_table(path, None).columns, *upper, *lower))
     if not any(name in table.columns for name in (*upper, *DEVIATIONS)):
         raise InputError(f"{path}: found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad")
-    whole = np.ones((len(table.rows), len(POSE)), dtype=bool)
-    covariance = read_noise(table, PoseNoise(), whole)
-    check_positive(table, covariance, whole)
-    return np.asarray((covariance * np.outer(UNITS, UNITS)).mean(axis=0))
+    stated = [
+        not {f"cov_{name}_{name}", sd}.isdisjoint(table.columns) for name, sd in zip(POSE, DEVIATIONS, strict=True)
+    ]
+    measured = np.tile(np.array(stated) | (not in_part), (len(table.rows), 1))
+    covariance = read_noise(table, PoseNoise(), measured)
+    check_positive(table, covariance, measured)
+    mean = (covariance * np.outer(UNITS, UNITS)).mean(axis=0)
+    return np.where(np.outer(measured[0], measured[0]), mean, np.nan)
 
 
 def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurements:
@@ -263,6 +280,17 @@ def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurement
     return place_poses(
         ("plan",), np.zeros((1, len(calibrated.commanded))), np.zeros((1, DEGREES_OF_FREEDOM)), covariance[None]
     )
+
+
+def expect_tracked(calibrated: CalibratedMachine, tracker: str, covariance: Array) -> Measurements:
+    """Return a row that says that an instrument measures the tool's pose, with a covariance (6, 6), mm and rad."""
+    places, n = calibrated.model.instrument_places[tracker], len(calibrated.model.channels)
+    sd = np.full(n, np.nan) if calibrated.noise is None else calibrated.noise.copy()
+    seen = covariance[: len(places), : len(places)]  # the position alone, of a tool that does not say how it is turned
+    sd[places], correlation = np.sqrt(np.diagonal(seen)), np.eye(n)
+    known = seen / np.outer(sd[places], sd[places])
+    correlation[np.ix_(places, places)] = np.where(np.isfinite(known), known, np.eye(len(places)))
+    return replace(expect_readings(sd), correlation=correlation[None])
 
 
 def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covariance: Array) -> Measurements:
@@ -356,9 +384,10 @@ def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: 
     """Return a plan as CSV text: the poses of one session, the one that shows most first."""
     channels = calibrated.command_channels
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
-    if is_read_by_pose(calibrated):
+    if is_read_by_pose(calibrated) or find_tracker(calibrated) is not None:
+        whose = "platform pose, base" if is_read_by_pose(calibrated) else "tool pose, instrument"
         how = [
-            "Measure the platform pose, base frame: pose, x_mm, y_mm, z_mm,",
+            f"Measure the {whose} frame: pose, x_mm, y_mm, z_mm,",
             f"rx_deg, ry_deg, rz_deg; {back}",
         ]
     else:

@@ -143,6 +143,24 @@ def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
     """Return a config that states the noise and the frames, all of them free, of what tables measured."""
     parameters = {name: one for it in measured for name, one in it.parameters.items()}
     noise = {name: one for it in measured for name, one in it.state_noise().items() if name not in config.sensors}
+    return _state(config, parameters, noise)
+
+
+def expect_trackers(config: StudyConfig, machine: ReadingModel) -> tuple[StudyConfig, dict[str, Instrument]]:
+    """Return a config that states the frames of instruments of poses, and these: of a machine without such channels.
+
+    No table is read: their noise stays in the tables.
+    """
+    tables = [one for one in config.data if isinstance(one, PoseDataConfig) and not machine.reads_pose]
+    found: dict[str, Instrument] = {one.name: Tracker(("",), [(0, None)], machine.tells_rotation) for one in tables}
+    known = {name: prior for one in tables for name, prior in _know_frames(one, 1, config.units).items()}
+    return _state(config, known, {}), found
+
+
+def _state(
+    config: StudyConfig, parameters: Mapping[str, PriorConfig], noise: Mapping[str, ChannelConfig]
+) -> StudyConfig:
+    """Return a config that states more parameters, free in all variants, and more noise."""
     variants = [
         one if one.free is None else one.model_copy(update={"free": [*one.free, *parameters]})
         for one in config.variants
