@@ -178,9 +178,11 @@ def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given =
     """Return the mean machine at commands (P, C), to first order."""
     pose, found = calibrated.model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
     at = linearise_place(calibrated, pose, found, commands, given)
+    if len(calibrated.commanded) <= len(calibrated.model.coordinates):
+        return at
     misfit = measure_misfit(calibrated, at, find_errors(calibrated, at))
     contradictory = np.flatnonzero(~found | find_contradictory(calibrated, misfit))
-    if len(calibrated.commanded) == len(calibrated.model.coordinates) or not len(contradictory):
+    if not len(contradictory):
         return at
     worst = contradictory[np.argsort(-np.nan_to_num(misfit[contradictory], nan=np.inf), kind="stable")][:MOST_TRIED]
     pose[worst], found[worst] = _try_others(calibrated, pose[worst], commands[worst], _pick(given, worst))
@@ -350,7 +352,7 @@ def measure_misfit(calibrated: CalibratedMachine, at: LinearisedCommands, errors
     What no pose moves, N^T (s + δ - h) with N^T H = 0, has the covariance N^T (Σ_δ + A Σ_θ A^T) N.
     """
     model, q = calibrated.model, len(calibrated.model.coordinates)
-    if at.commands.shape[1] == q:
+    if at.commands.shape[1] <= q:
         return np.zeros(len(at.commands))
     with np.errstate(all="ignore"):
         read = model.read(calibrated.theta, at.pose, at.given)[:, calibrated.commanded]

@@ -20,6 +20,7 @@ from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_cov
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import CsvTable, format_table, read_table
 from bayescal.machines.readings import Channel, Coordinate
+from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
 
@@ -167,7 +168,7 @@ def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
     """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
     model, channels = calibrated.model, calibrated.command_channels
-    others = ("use", REACHED, *_name_sd(channels))
+    others = ("use", REACHED, READ_BY, *_name_sd(channels))
     expected = [name_column(calibrated, one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)

@@ -296,6 +296,7 @@ def verify(
         find_tracker,
         format_plan,
         is_read_by_pose,
+        lead_to_contacts,
         list_candidates,
         plan_reverification,
     )
@@ -337,20 +338,18 @@ def verify(
                 f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with "
                 f"column {one.stem}_sd_{one.unit}"
             )
-        model = calibrated.model
-        touching = [one for one in model.contacts if np.isfinite(sd[model.instrument_places[one]]).any()]
-        if touching and candidates is None:
-            expected = "--candidates COMMANDS.csv that touch, or --sensors of others"
-            raise InputError(f"{results}: found {', '.join(touching)} to touch, expected {expected}")
         planned = expect_readings(sd)
-    commands, given = (
-        list_candidates(calibrated, range_fraction) if candidates is None else read_commands(candidates, calibrated)[1:]
-    )
+    touching = tuple[str, ...]()
+    if candidates is None:
+        anywhere = list_candidates(calibrated, range_fraction)
+        commands, given, planned, touching = lead_to_contacts(calibrated, *anywhere, planned)
+    else:
+        _, commands, given = read_commands(candidates, calibrated)
     demand = _demand(calibrated, suspects, (shift_um, shift_arcsec, shift_sd), power, false_alarm, sessions)
     with name_faults(results):
         plan = plan_reverification(calibrated, suspects, commands, given, planned, demand)
     sentence = describe_plan(plan)
-    put(format_plan(calibrated, plan, sentence), out)
+    put(format_plan(calibrated, plan, sentence, touching), out)
     if out is not None:
         print_sentence(sentence)
 

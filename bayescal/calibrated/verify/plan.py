@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -41,6 +42,8 @@ from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
 from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker, locate_tool
+from bayescal.machines.readings.newton import share_contacts, touch
+from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -119,6 +122,37 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
     if not (within & found).any():
         raise InputError(f"machine {calibrated.name!r}: found no workspace pose in reach, expected some")
     return commands[within & found], {name: value[within & found] for name, value in given.items()}
+
+
+def lead_to_contacts(
+    calibrated: CalibratedMachine, commands: Array, given: Given, planned: Measurements
+) -> tuple[Array, Given, Measurements, tuple[str, ...]]:
+    """Return candidates led to where instruments touch, a row of what is read at each, and the one that touches there.
+
+    ``planned`` is a row that says which channels are read; where none of an instrument that touches, all stays as it
+    is. Instruments take turns, and poses keep to the workspace. InputError where none of them touches.
+    """
+    model, theta, (low, high) = calibrated.model, calibrated.theta, bound_workspace(calibrated)
+    asked = {name: bool(planned.present[0, model.instrument_places[name]].all()) for name in model.contacts}
+    if not any(asked.values()):
+        return commands, given, planned, ()
+    start, _ = model.locate(theta, commands, given, weights=calibrated.weights)
+    read = share_contacts(model, len(start))
+    with np.errstate(all="ignore"):
+        pose, found = touch(model, theta, start, read, np.zeros(read.shape), given)
+        values = model.read(theta, pose, given)
+        found &= ((pose >= low) & (pose <= high)).all(axis=1) & ~model.find_beyond(values).any(axis=1)
+    names = [model.contacts[k % len(model.contacts)] for k in range(len(start))]
+    found &= np.isfinite(values[:, calibrated.commanded]).all(axis=1) & [asked[name] for name in names]
+    some = np.flatnonzero(found)
+    if not len(some):
+        raise InputError(f"machine {calibrated.name!r}: found no pose that touches {' or '.join(model.contacts)}")
+    planned = replace(
+        expect_readings(np.where(read & planned.present, planned.sd, np.nan)[some]),
+        correlation=None if planned.correlation is None else np.repeat(planned.correlation, len(some), axis=0),
+    )
+    there = {name: value[some] for name, value in given.items()}
+    return values[some][:, calibrated.commanded], there, planned, tuple(names[k] for k in some)
 
 
 def _place_near_home(legs: Legs, theta: Array, reach: float) -> Array:
@@ -335,8 +369,10 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
 
 
 def expect_readings(sd: Array) -> Measurements:
-    """Return a row that says which channels are read, by their noise (K,); NaN for those that are not."""
-    return Measurements(("plan",), np.where(np.isfinite(sd), 0.0, np.nan)[None], np.nan_to_num(sd, nan=1.0)[None])
+    """Return rows that say which channels are read, by their noise (K,) or (P, K); NaN for those that are not."""
+    sd = np.atleast_2d(sd)
+    names = tuple(f"plan {k}" for k in range(1, len(sd) + 1))
+    return Measurements(names, np.where(np.isfinite(sd), 0.0, np.nan), np.nan_to_num(sd, nan=1.0))
 
 
 def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrated: CalibratedMachine) -> Measurements:
@@ -380,8 +416,13 @@ def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachin
 # --- what is written -----------------------------------------------------------------------------------------------
 
 
-def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: str) -> str:
-    """Return a plan as CSV text: the poses of one session, the one that shows most first."""
+def format_plan(
+    calibrated: CalibratedMachine, plan: ReverificationPlan, title: str, touching: Sequence[str] = ()
+) -> str:
+    """Return a plan as CSV text: the poses of one session, the one that shows most first.
+
+    ``touching`` are the instruments that touch at the candidates out of which it is chosen, where any do.
+    """
     channels = calibrated.command_channels
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
     if is_read_by_pose(calibrated) or find_tracker(calibrated) is not None:
@@ -391,14 +432,21 @@ def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: 
             f"rx_deg, ry_deg, rz_deg; {back}",
         ]
     else:
-        how = ["Read the channels at each;", back]
+        how = [f"{'Touch the instrument of' if touching else 'Read the channels at'} each;", back]
     comments = [*calibrated.source.describe(), title, *how]
-    columns = ["pose", "use", *plan.given, *(name_column(calibrated, one) for one in channels)]
+    beside = [(touching[k],) for k in plan.chosen] if touching else [()] * len(plan.chosen)
+    columns = [
+        "pose",
+        "use",
+        *([READ_BY] if touching else []),
+        *plan.given,
+        *(name_column(calibrated, one) for one in channels),
+    ]
     known = list(zip(*plan.given.values(), strict=True)) or [()] * len(plan.commands)
     rows = [
-        (f"R{k:02d}", "calibration", *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
-        for k, (own, one) in enumerate(
-            zip(known, show_values(calibrated, plan.commands, channels), strict=True), start=1
+        (f"R{k:02d}", "calibration", *by, *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
+        for k, (by, own, one) in enumerate(
+            zip(beside, known, show_values(calibrated, plan.commands, channels), strict=True), start=1
         )
     ]
     return format_table(comments, columns, rows)
