@@ -288,10 +288,20 @@ def test_poses_are_not_chosen_where_instruments_touch(planned, refuse):
     refuse(said, planned.parent / "out", "run", planned, "--quiet")
 
 
-def test_what_to_measure_next_is_not_asked_of_contacts(tmp_path, refuse):
-    path = write(tmp_path, "bed of a delta")
-    said = "found bed to touch, expected instruments that read at any pose"
-    refuse(said, tmp_path / "out", "next-pose", path, "--require", "x=0.1")
+@pytest.mark.runs
+def test_what_to_measure_next_is_where_tools_touch(tmp_path, call):
+    path, out = write(tmp_path, "bed of a delta"), tmp_path / "out"
+    code, _, err = call("next-pose", path, "--out", out, "--require", "x=0.1", "--trust-code", "--quiet")
+    assert code == 0, err
+    table = pd.read_csv(out / "next_poses.csv")
+    assert (table["touching"] == "bed").all()
+    variant = read_inputs(load(path)[1], tmp_path).variants["all"]
+    posterior = variant.posterior().with_pose_guesses()
+    theta = posterior.theta(find_modes(posterior)[0].y[None])[0]
+    height = variant.model.read(theta, table[["x_mm", "y_mm", "z_mm"]].to_numpy())[:, variant.model.names.index("bed")]
+    np.testing.assert_allclose(height, height.mean(), atol=1e-3)  # mm, of the mode's machine; theirs is the mean's
+    assert abs(height.mean()) < 0.03
+    assert "bed is touched" in (out / "report.html").read_text()
 
 
 @pytest.mark.runs
