@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -339,7 +340,7 @@ class VariantResult:
         """
         from bayescal.calibrated.one_place import take_one_place
         from bayescal.calibrated.predict import check_determined, predict_poses
-        from bayescal.calibrated.tables import check_found, format_prediction, read_commands
+        from bayescal.calibrated.tables import check_found, format_prediction, read_commands, say_contradictory
 
         machine = take_one_place(self.machine)
         check_determined(machine)
@@ -347,6 +348,8 @@ class VariantResult:
         names, positions, given = read_commands(path, machine)
         found = predict_poses(machine, positions, given)
         check_found(path, names, found)
+        if said := say_contradictory(path, names, found):
+            warnings.warn(said, stacklevel=2)
         return _read(format_prediction(machine, names, found, given))
 
     def compensate(self, poses: Table) -> pd.DataFrame:

@@ -137,7 +137,7 @@ def read_plan(knowledge: Design, plan: Plan, frames: tuple[str, ...] = ()) -> Ca
     """Return the posterior of a plan's poses, read without error: actuators, and what sensors see of the pose.
 
     Poses that the machine cannot take are left out.
-    Frames of the instrument are free by their names, ``i_frame[1]`` and so on.
+    Frames of the instrument are free by their names, ``i_frame[x]`` and so on.
     """
     machine = knowledge.machine
     n = machine.mechanism.n_legs

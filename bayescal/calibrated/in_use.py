@@ -115,9 +115,12 @@ class MachineInUse:
         theta = np.asarray(self.posterior.theta(y).mean(axis=0))
         return ToolRemaining(likelihood.model, own, theta, pose, given, sd, seed, shown, aligned)
 
-    def see(self, slopes: Jacobians, given: Given) -> Array:
-        """Return what all channels say of geometry and coefficients at poses, these eliminated, (W, K, m + A)."""
-        every = np.ones(slopes.by_pose.shape[1], dtype=bool)
+    def see(self, slopes: Jacobians, given: Given, read: np.ndarray | None = None) -> Array:
+        """Return what all channels say of geometry and coefficients at poses, these eliminated, (W, K, m + A).
+
+        ``read`` (K,) says which channels are read, where not all are.
+        """
+        every = np.ones(slopes.by_pose.shape[1], dtype=bool) if read is None else read
         if self.known is None:
             return slopes.select_channels(every).rows
         errors = self.err(slopes.pose, given)

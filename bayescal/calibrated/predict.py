@@ -19,6 +19,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from bayescal.calibrated.machine import MODEL, CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
@@ -26,7 +27,7 @@ from bayescal.errors import InputError
 from bayescal.identifiability.information import root_of
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import NO_CONDITIONS, Given
-from bayescal.machines.readings.newton import solve
+from bayescal.machines.readings.newton import locate_pose, solve
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 
 SPREAD_DRAWS = 300
@@ -34,6 +35,10 @@ SPREAD_DRAWS = 300
 SPREAD_POSES = 16  # at a time: scratch memory of these draws stays in the cache
 COMPARED = 16  # poses of the workspace at which draws are compared with their tangent
 CURVED = 0.1  # of a standard deviation that draws may be off the tangent, root mean square
+STARTS, TRIED, BEYOND = 5000, 100, 16.0
+"""Poses whose commands are compared, of which so many are tried, as far out as that many times the workspace."""
+MOST_TRIED = 100  # rows of a part, the worst first: where more contradict, it is the commands
+IMPROBABLE = 1e-6  # of commands that contradict one another more by chance
 CHUNK = 1024
 """Poses at a time: what they take of the memory stays small."""
 
@@ -57,6 +62,11 @@ class PosePrediction:
         The part of the tool's covariance by the geometry and systematic errors that were found with it.
     found : ndarray of bool, shape (P,)
         Whether the machine has a pose there.
+    misfit : ndarray, shape (P,), or None
+        By how much the commands contradict one another: root mean square, in standard deviations of geometry and errors
+        of the commands. About one where they are those of a pose; None where they are no more than the coordinates.
+    contradictory : ndarray of bool, shape (P,)
+        Whether they do so more than by chance: perhaps there is no such pose, or it is another one.
     """
 
     channels: tuple[Channel, ...]
@@ -66,6 +76,8 @@ class PosePrediction:
     pose_covariance: Array | None
     of_geometry: Array | None
     found: np.ndarray
+    misfit: Array | None
+    contradictory: np.ndarray
 
     @property
     def sd(self) -> Array | None:
@@ -164,9 +176,48 @@ def check_determined(calibrated: CalibratedMachine) -> None:
 
 def place_machine(calibrated: CalibratedMachine, commands: Array, given: Given = NO_CONDITIONS) -> LinearisedCommands:
     """Return the mean machine at commands (P, C), to first order."""
-    model, theta = calibrated.model, calibrated.theta
-    pose, found = model.locate(theta, commands, given, weights=calibrated.weights)
+    pose, found = calibrated.model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
+    at = linearise_place(calibrated, pose, found, commands, given)
+    if len(calibrated.commanded) <= len(calibrated.model.coordinates):
+        return at
+    misfit = measure_misfit(calibrated, at, find_errors(calibrated, at))
+    contradictory = np.flatnonzero(~found | find_contradictory(calibrated, misfit))
+    if not len(contradictory):
+        return at
+    worst = contradictory[np.argsort(-np.nan_to_num(misfit[contradictory], nan=np.inf), kind="stable")][:MOST_TRIED]
+    pose[worst], found[worst] = _try_others(calibrated, pose[worst], commands[worst], _pick(given, worst))
     return linearise_place(calibrated, pose, found, commands, given)
+
+
+def _try_others(calibrated: CalibratedMachine, pose: Array, commands: Array, given: Given) -> tuple[Array, np.ndarray]:
+    """Return the poses (P, q) of least squares of more commands than coordinates, and which are found.
+
+    The way from home led to others, or to none: NaN. Of poses all over the workspace and beyond, those with the nearest
+    commands are the starts.
+    """
+    model, theta, weights, q = calibrated.model, calibrated.theta, calibrated.weights, len(calibrated.model.coordinates)
+    compare = Comparison(calibrated.command_channels)
+
+    def measure(pose: Array, rows: np.ndarray) -> Array:
+        with np.errstate(all="ignore"):
+            read = model.read(theta, pose, _pick(given, rows))[:, calibrated.commanded]
+            left = np.sum((weights * compare.subtract(commands[rows], read)) ** 2, axis=1)
+        return np.where(np.isfinite(left), left, np.inf)
+
+    left = measure(pose, np.arange(len(pose)))
+    rng, (least, most) = np.random.default_rng(0), bound_workspace(calibrated)
+    size = 0.5 * (most - least) * BEYOND ** rng.uniform(0.0, 1.0, (STARTS, q))
+    starts = 0.5 * (least + most) + size * rng.uniform(-1.0, 1.0, (STARTS, q))
+    for k in range(len(pose)):
+        rows = np.full(STARTS, k)
+        near = np.argsort(measure(starts, rows), kind="stable")[:TRIED]
+        with np.errstate(all="ignore"):
+            some, each = _pick(given, rows[:TRIED]), np.tile(commands[k], (TRIED, 1))
+            other, there = locate_pose(model, theta, each, some, starts[near], weights)
+        then = np.where(there, measure(other, rows[:TRIED]), np.inf)
+        if then.min() < left[k]:
+            pose[k], left[k] = other[then.argmin()], then.min()
+    return pose, np.isfinite(left)
 
 
 def linearise_place(
@@ -261,30 +312,64 @@ def predict_poses(calibrated: CalibratedMachine, commands: Array, given: Given =
     curved = find_curved(calibrated)
     parts = [_predict_some(calibrated, commands[part], _pick(given, part), curved) for part in split(len(commands))]
     channels, m = calibrated.model.tool_channels, len(calibrated.model.tool_channels)
-    outputs, found, *spreads = zip(*parts, strict=True)
+    outputs, found, misfits, *spreads = zip(*parts, strict=True)
     every, there, part = np.concatenate(outputs), np.concatenate(found), slice(0 if is_pose(calibrated) else m, None)
+    misfit, spare = np.concatenate(misfits), len(calibrated.commanded) > len(calibrated.model.coordinates)
+    fits = (there, misfit if spare else None, find_contradictory(calibrated, misfit))
     if calibrated.covariance is None:
-        return PosePrediction(channels, every[:, :m], every[:, part], None, None, None, there)
+        return PosePrediction(channels, every[:, :m], every[:, part], None, None, None, *fits)
     whole, of_geometry = (np.concatenate(one) for one in spreads)
     return PosePrediction(
-        channels, every[:, :m], every[:, part], whole[:, :m, :m], whole[:, part, part], of_geometry[:, :m, :m], there
+        channels, every[:, :m], every[:, part], whole[:, :m, :m], whole[:, part, part], of_geometry[:, :m, :m], *fits
     )
 
 
 def _predict_some(
     calibrated: CalibratedMachine, commands: Array, given: Given, curved: Array | None
-) -> tuple[Array, np.ndarray, Array | None, Array | None]:
-    """Return outputs (P, M), which are found, and their covariances (P, M, M), in whole and by the geometry."""
+) -> tuple[Array, np.ndarray, Array, Array | None, Array | None]:
+    """Return outputs (P, M), which are found, misfits (P,) and covariances (P, M, M), in whole and by the geometry."""
     at = place_machine(calibrated, commands, given)
     errors = find_errors(calibrated, at)
     moved = np.einsum("pij,pj->pi", at.gain, errors.mean)
-    add = compare_outputs(calibrated).add
+    add, misfit = compare_outputs(calibrated).add, measure_misfit(calibrated, at, errors)
     if calibrated.covariance is None:
-        return add(at.outputs, moved), at.found, None, None
+        return add(at.outputs, moved), at.found, misfit, None, None
     shift, factors = spread_outputs(calibrated, at, errors, curved)
     of_geometry = factors @ np.swapaxes(factors, 1, 2)
     others = at.gain @ errors.independent @ np.swapaxes(at.gain, 1, 2)
-    return add(at.outputs, moved + shift), at.found, of_geometry + others, of_geometry
+    return add(at.outputs, moved + shift), at.found, misfit, of_geometry + others, of_geometry
+
+
+def find_contradictory(calibrated: CalibratedMachine, misfit: Array) -> np.ndarray:
+    """Return which commands contradict one another more than by chance, (P,), by their `measure_misfit`."""
+    spare = len(calibrated.commanded) - len(calibrated.model.coordinates)
+    return np.asarray(chi2.sf(spare * misfit**2, max(spare, 1)) < IMPROBABLE)
+
+
+def measure_misfit(calibrated: CalibratedMachine, at: LinearisedCommands, errors: ErrorsThere) -> Array:
+    """Return by how much commands contradict one another, (P,), as `PosePrediction.misfit` says; zero where none can.
+
+    What no pose moves, N^T (s + δ - h) with N^T H = 0, has the covariance N^T (Σ_δ + A Σ_θ A^T) N.
+    """
+    model, q = calibrated.model, len(calibrated.model.coordinates)
+    if at.commands.shape[1] <= q:
+        return np.zeros(len(at.commands))
+    with np.errstate(all="ignore"):
+        read = model.read(calibrated.theta, at.pose, at.given)[:, calibrated.commanded]
+        left = Comparison(calibrated.command_channels).subtract(at.commands + errors.mean, read)
+    good = at.found & np.isfinite(left).all(axis=1) & np.isfinite(at.by_pose).all(axis=(1, 2))
+    covariance = errors.independent[good]
+    if calibrated.covariance is not None:
+        columns = None if errors.columns is None else -errors.columns[good]
+        slope, _, beside = _join_errors(calibrated, at.by_parameters[good], columns)
+        factors = np.concatenate([slope @ root_of(calibrated.covariance).T, beside], axis=-1)
+        covariance = covariance + factors @ np.swapaxes(factors, 1, 2)
+    spare = np.linalg.svd(at.by_pose[good] * model.pose_scale)[0][..., q:]
+    seen = np.einsum("pij,pi->pj", spare, left[good])
+    white = np.linalg.pinv(np.swapaxes(spare, 1, 2) @ covariance @ spare, hermitian=True)
+    misfit = np.full(len(left), np.nan)
+    misfit[good] = np.sqrt(np.einsum("pi,pij,pj->p", seen, white, seen) / seen.shape[1])
+    return misfit
 
 
 def spread_outputs(
@@ -496,13 +581,7 @@ def _spread(
         What moves by coefficients of systematic errors, which in part follow the parameters.
     """
     assert calibrated.covariance is not None
-    slope, along = slope[..., calibrated.free], np.zeros((1, 1, len(calibrated.free)))
-    beside = np.zeros((*slope.shape[:2], 0))
-    if columns is not None and calibrated.functions is not None:
-        follow, root = calibrated.functions.given_geometry
-        along, beside = columns @ follow, columns @ root
-        slope = slope + along
-    along = np.broadcast_to(along, slope.shape)
+    slope, along, beside = _join_errors(calibrated, slope, columns)
     if curved is None:
         factors = slope @ root_of(calibrated.covariance).T
         return np.zeros(slope.shape[:2]), np.concatenate([factors, beside], axis=-1)
@@ -514,6 +593,20 @@ def _spread(
         factors[part] = (moved - mean[part, :, None]) / np.sqrt(len(curved) - 1)
     chance = (curved.mean(axis=0) - calibrated.theta)[calibrated.free]  # that these draws have another mean than all
     return mean - np.einsum("pik,k->pi", slope, chance), np.concatenate([factors, beside], axis=-1)
+
+
+def _join_errors(calibrated: CalibratedMachine, slope: Array, columns: Array | None) -> tuple[Array, Array, Array]:
+    """Return what moves by the uncertain parameters (P, M, n), what of it by errors that follow them, and the rest's.
+
+    Systematic errors follow the geometry in part: that part, (P, M, n), and factors (P, M, A) of what is left.
+    """
+    slope, along = slope[..., calibrated.free], np.zeros((1, 1, len(calibrated.free)))
+    beside = np.zeros((*slope.shape[:2], 0))
+    if columns is not None and calibrated.functions is not None:
+        follow, root = calibrated.functions.given_geometry
+        along, beside = columns @ follow, columns @ root
+        slope = slope + along
+    return slope, np.broadcast_to(along, slope.shape), beside
 
 
 def invert(slopes: Array, good: np.ndarray, scale: Array) -> Array:

@@ -17,13 +17,14 @@ from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.predict import PoseCommands, PosePrediction, is_pose
 from bayescal.data.actuators import check_travel
 from bayescal.data.instruments.read_poses import OTHER_COLUMNS, VECTOR, name_covariances, read_rotation_vectors
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
 from bayescal.files.csv_tables import CsvTable, format_table, read_table
 from bayescal.machines.readings import Channel, Coordinate
+from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import units_like
 
-REACHED = "reached"
+REACHED, MISFIT = "reached", "misfit_sd"
 NAMED = 12
 """Poses out of reach that a message names."""
 TOOL = "tool_"
@@ -60,20 +61,28 @@ def read_quantities(table: CsvTable, wanted: Sequence[Channel | Coordinate], pre
     for k, one in enumerate(wanted):
         if k in turned:
             continue
-        known = {f"{prefix}{one.stem}_{unit}": factor for unit, factor in units_like(one.unit).items()}
-        there = [name for name in table.columns if name in known]
+        there = _find_columns(table, one, prefix)
         if not there:
-            listed = " or ".join(dict.fromkeys([f"{prefix}{one.stem}_{one.unit}", *known]))
+            units = dict.fromkeys([one.unit, *units_like(one.unit)])
+            listed = " or ".join(f"{prefix}{one.stem}_{unit}" for unit in units)
             raise InputError(f"{table.path}: found no column '{prefix}{one.stem}_{one.unit}', expected {listed}")
         if len(there) > 1:
-            raise InputError(f"{table.path}: found columns {there[0]!r} and {there[1]!r}, expected one of them")
-        values[:, k] = known[there[0]] * table.numbers(there)[:, 0]
+            first, second = map(table.name, [*there][:2])
+            raise InputError(f"{table.path}: found columns {first!r} and {second!r}, expected one of them")
+        for column, size in there.items():
+            values[:, k] = size * table.numbers([column])[:, 0]
     if turned:
         values[:, turned] = read_rotation_vectors(table, prefix)
         whole = np.isfinite(values[:, turned]).all(axis=1)
-        expected = ", ".join(f"{prefix}{name}" for name in VECTOR)
+        expected = ", ".join(table.name(f"{prefix}{name}") for name in VECTOR)
         table.refuse(~whole, lambda _: f"found part of a rotation, expected {expected}")
     return values
+
+
+def _find_columns(table: CsvTable, quantity: Channel | Coordinate, prefix: str = "") -> dict[str, float]:
+    """Return the columns that hold a quantity, with the sizes of their units in its own."""
+    units = {f"{prefix}{quantity.stem}_{unit}": size for unit, size in units_like(quantity.unit).items()}
+    return {name: units[name] for name in table.columns if name in units}
 
 
 def _find_turned(wanted: Sequence[Channel | Coordinate]) -> list[int]:
@@ -124,7 +133,7 @@ def read_commanded(path: Path, calibrated: CalibratedMachine) -> CommandedPoses:
     upper, lower = name_covariances([one.name for one in model.pose_channels])
     of_tool, _ = name_covariances([f"{TOOL}{one.stem}" for one in model.tool_channels])
     sds = [*(f"sd_{one}" for one in pose), *_name_sd(model.pose_channels)]
-    others = ("use", *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
+    others = ("use", MISFIT, *sds, *upper, *lower, *of_tool, *list_columns(calibrated.command_channels))
     expected = [name_column(calibrated, one) for one in model.pose_channels]
     expected += [f"or {', '.join(TOOL + name_column(calibrated, one) for one in model.tool_channels)}"] if tool else []
     table, names = read_named(path, [*pose, *tool, *model.given, *others], [*expected, *model.given])
@@ -147,23 +156,23 @@ def check_both(calibrated: CalibratedMachine, table: CsvTable) -> None:
         least = MAX_TOOL_MISMATCH * np.abs(by_pose * model.pose_scale).sum(axis=-1)
     for k, m in np.argwhere(~(off <= least))[:1]:
         one = model.tool_channels[m]
-        unit, size = show_unit(calibrated, one)
-        raise InputError(
-            f"{table.where(int(k))}: {TOOL}{name_column(calibrated, one)}: found "
-            f"{tool[k, m] / size:.6g}, by the coordinates {own[k, m] / size:.6g} {unit}, expected the "
-            "same, or either"
-        )
+        _, size = show_unit(calibrated, one)
+        columns = _find_columns(table, one, TOOL) or {TOOL + name_column(calibrated, one): size}
+        for column, size in columns.items():
+            raise InputError(
+                f"{table.where(int(k))}: {table.name(column)}: found {tool[k, m] / size:.6g}, by the coordinates "
+                f"{own[k, m] / size:.6g}, expected the same, or either"
+            )
 
 
 def read_commands(path: Path, calibrated: CalibratedMachine) -> tuple[tuple[str, ...], Array, dict[str, Array]]:
     """Return names (P), commands (P, C) in the channels' units and what is given; InputError where out of range."""
     model, channels = calibrated.model, calibrated.command_channels
-    others = ("use", REACHED, *_name_sd(channels))
+    others = ("use", REACHED, READ_BY, *_name_sd(channels))
     expected = [name_column(calibrated, one) for one in channels]
     table, names = read_named(path, [*list_columns(channels), *model.given, *others], [*expected, *model.given])
     commands = read_quantities(table, channels)
-    with name_faults(path):
-        check_travel(commands, model.command_range, channels, names)
+    check_travel(commands, model.command_range, channels, names, path)
     return names, commands, read_given(table, model.given)
 
 
@@ -179,6 +188,17 @@ def check_reached(commanded: CommandedPoses, command: PoseCommands) -> None:
         f"{commanded.table.path}: found {len(lost)} of {len(names)} poses out of reach "
         f"(--allow-unreachable marks them): {'; '.join(listed)}{more}"
     )
+
+
+def say_contradictory(path: Path, names: Sequence[str], prediction: PosePrediction) -> str:
+    """Return in a line at which commands contradict one another; empty where at none."""
+    if prediction.misfit is None or not prediction.contradictory.any():
+        return ""
+    some = np.flatnonzero(prediction.contradictory).tolist()
+    rows = sorted(some, key=(-prediction.misfit).__getitem__)
+    listed = [f"{names[k]!r} by {prediction.misfit[k]:.3g} sd" for k in rows[:NAMED]]
+    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"{path}: commands contradict one another at {', '.join(listed)}{more}: no pose, or another one"
 
 
 def check_found(path: Path, names: Sequence[str], prediction: PosePrediction) -> None:
@@ -241,6 +261,9 @@ def format_prediction(
             sd = np.sqrt(np.diagonal(prediction.pose_covariance, axis1=1, axis2=2)) * _fine(pose)
             cells = np.concatenate([cells, sd], axis=1)
         rows = [[*row, *(f"{c:.8g}" for c in some)] for row, some in zip(rows, cells, strict=True)]
+    if prediction.misfit is not None:
+        columns += [MISFIT]
+        rows = [[*row, f"{one:.4g}"] for row, one in zip(rows, prediction.misfit, strict=True)]
     about = "Predicted coordinates" if whole else "Predicted tool (tool_...) and coordinates"
     about += ", base frame; rotation vector in degrees." if model.tool_turned else "."
     comments = [

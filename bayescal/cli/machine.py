@@ -140,7 +140,13 @@ def predict(
     from bayescal.calibrated.drawn_machines import draw_poses
     from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import check_determined, predict_poses
-    from bayescal.calibrated.tables import check_found, format_draws, format_prediction, read_commands
+    from bayescal.calibrated.tables import (
+        check_found,
+        format_draws,
+        format_prediction,
+        read_commands,
+        say_contradictory,
+    )
 
     calibrated = take_one_place(options.load(results))
     check_out(out)
@@ -154,6 +160,8 @@ def predict(
         drawn = draw_poses(calibrated, positions, n_draws, np.random.default_rng(seed), given)
         put(format_draws(calibrated, names, drawn), draws_out)
     put(format_prediction(calibrated, names, found, given), out)
+    if said := say_contradictory(commands, names, found):
+        echo(said, err=True)
     _tell_missing(results, calibrated)
 
 
@@ -285,8 +293,10 @@ def verify(
         describe_plan,
         describe_reverification,
         expect_readings,
+        find_tracker,
         format_plan,
         is_read_by_pose,
+        lead_to_contacts,
         list_candidates,
         plan_reverification,
     )
@@ -298,14 +308,18 @@ def verify(
         raise InputError(f"{results}: found no posterior draws, expected posterior/*.nc")
     check_out(out)
     suspects = choose_suspects(calibrated, parameters or [])
-    by_pose = is_read_by_pose(calibrated)
-    stated = _find_stated(results, position_um, orientation_arcsec) if by_pose else None
+    by_pose, tracker = is_read_by_pose(calibrated), find_tracker(calibrated)
+    stated = None
+    if by_pose or tracker is not None:
+        stated = _find_stated(results, position_um, orientation_arcsec, whole=by_pose)
     if measured:
         lines, read = [], []
         for path in measured:
             if by_pose:
                 said, session = _read_poses(path, actuators, stated, calibrated)
                 lines += said
+            elif tracker is not None:
+                session = _read_tracked(path, actuators, stated, calibrated, tracker)
             else:
                 session = _read_readings(path, actuators, _find_noise(calibrated, noise_from, sensors), calibrated)
             read.append(session)
@@ -313,8 +327,8 @@ def verify(
             lines += describe_reverification(judge_reverification(calibrated, suspects, read, false_alarm, sessions))
         put("".join(f"{line}\n" for line in lines), out)
         return
-    if by_pose:
-        planned = _plan_poses(results, stated, noise_from, calibrated)
+    if by_pose or tracker is not None:
+        planned = _plan_poses(results, stated, noise_from, calibrated, tracker)
     else:
         sd = _find_noise(calibrated, noise_from, sensors)
         unknown = np.flatnonzero(~np.isfinite(sd))  # an exported machine knows nothing of channels beside it
@@ -324,20 +338,18 @@ def verify(
                 f"{results}: found no noise of {one.name}, expected --noise-from READINGS.csv with "
                 f"column {one.stem}_sd_{one.unit}"
             )
-        model = calibrated.model
-        touching = [one for one in model.contacts if np.isfinite(sd[model.instrument_places[one]]).any()]
-        if touching and candidates is None:
-            expected = "--candidates COMMANDS.csv that touch, or --sensors of others"
-            raise InputError(f"{results}: found {', '.join(touching)} to touch, expected {expected}")
         planned = expect_readings(sd)
-    commands, given = (
-        list_candidates(calibrated, range_fraction) if candidates is None else read_commands(candidates, calibrated)[1:]
-    )
+    touching = tuple[str, ...]()
+    if candidates is None:
+        anywhere = list_candidates(calibrated, range_fraction)
+        commands, given, planned, touching = lead_to_contacts(calibrated, *anywhere, planned)
+    else:
+        _, commands, given = read_commands(candidates, calibrated)
     demand = _demand(calibrated, suspects, (shift_um, shift_arcsec, shift_sd), power, false_alarm, sessions)
     with name_faults(results):
         plan = plan_reverification(calibrated, suspects, commands, given, planned, demand)
     sentence = describe_plan(plan)
-    put(format_plan(calibrated, plan, sentence), out)
+    put(format_plan(calibrated, plan, sentence, touching), out)
     if out is not None:
         print_sentence(sentence)
 
@@ -374,11 +386,14 @@ def _demand(
     return VerificationGoal(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
 
 
+type StatedNoise = tuple[float, float | None] | None
+"""Of positions (µm) and rotations (arcsec)."""
+
 # --- poses ---------------------------------------------------------------------------------------------------------
 
 
 def _read_poses(
-    path: Path, actuators: Path | None, stated: tuple[float, float] | None, calibrated: CalibratedMachine
+    path: Path, actuators: Path | None, stated: StatedNoise, calibrated: CalibratedMachine
 ) -> tuple[list[str], Measurements]:
     """Return what is wrong with a session's measured poses, in lines, and the poses."""
     from bayescal.calibrated.verify.plan import has_noise, place_poses, read_session
@@ -392,20 +407,56 @@ def _read_poses(
     return lines, place_poses(read.names, read.actuators, read.values, read.covariance)
 
 
+def _read_tracked(
+    path: Path, actuators: Path | None, stated: StatedNoise, calibrated: CalibratedMachine, tracker: str
+) -> Measurements:
+    """Return a session's poses of the tool in an instrument's frame, as a study reads them."""
+    from bayescal.calibrated.verify.plan import check_noise, has_noise
+    from bayescal.density.calibration.measurements import Measurements
+    from bayescal.experiments.shared.readings.data_schema import PoseDataConfig
+    from bayescal.experiments.shared.readings.measurement import InstrumentReader
+    from bayescal.experiments.shared.schema import UnitsConfig
+
+    position, rotation = (None, None) if has_noise(path) or stated is None else stated
+    section = PoseDataConfig.model_construct(
+        kind="poses",
+        name=tracker,
+        file=path.name,
+        actuators=None if actuators is None else str(actuators.absolute()),
+        position_um=position,
+        orientation_arcsec=rotation,
+    )
+    measured = InstrumentReader(path.absolute().parent, calibrated.model.bare, UnitsConfig(), False).read(section)
+    measured.check(calibrated.model)
+    found, noise = measured.spread(calibrated.model), calibrated.noise
+    sd = np.where(np.isfinite(found.sd), found.sd, np.nan if noise is None else noise)
+    session = Measurements(found.poses, found.values, sd, found.given, found.correlation)
+    check_noise(path, session, calibrated)
+    return session
+
+
 def _plan_poses(
-    results: Path, stated: tuple[float, float] | None, noise_from: Path | None, calibrated: CalibratedMachine
+    results: Path,
+    stated: StatedNoise,
+    noise_from: Path | None,
+    calibrated: CalibratedMachine,
+    tracker: str | None,
 ) -> Measurements:
     """Return how a pose will be measured: as it is stated, as a table has it, or as the study had it."""
-    from bayescal.calibrated.verify.plan import build_covariance, expect_pose, read_mean_covariance
+    from bayescal.calibrated.verify.plan import build_covariance, expect_pose, expect_tracked, read_mean_covariance
+
+    def expect(covariance: Array) -> Measurements:
+        return (
+            expect_pose(calibrated, covariance) if tracker is None else expect_tracked(calibrated, tracker, covariance)
+        )
 
     if noise_from is not None:
-        return expect_pose(calibrated, read_mean_covariance(noise_from))
+        return expect(read_mean_covariance(noise_from, in_part=tracker is not None))
     if stated is None:
         raise InputError(
-            f"{results}: found no pose noise, expected --position-um and --orientation-arcsec, or "
-            "--noise-from POSES.csv"
+            f"{results}: found no pose noise, expected --position-um, --orientation-arcsec, or --noise-from POSES.csv"
         )
-    return expect_pose(calibrated, build_covariance(*stated))
+    return expect(build_covariance(*stated))
 
 
 def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
@@ -419,21 +470,24 @@ def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None
 
 
 def _find_stated(
-    results: Path, position_um: float | None, orientation_arcsec: float | None
-) -> tuple[float, float] | None:
-    """Return the noise of position (µm) and rotation (arcsec) by the options, or by the study's config."""
+    results: Path, position_um: float | None, orientation_arcsec: float | None, whole: bool
+) -> StatedNoise:
+    """Return the noise of position (µm) and rotation (arcsec) by the options, or by the study's config.
+
+    That of a rotation is there where poses have to be measured whole.
+    """
     from bayescal.experiments.runner.results import PROVENANCE_FILE
     from bayescal.files.atomic import read_json
 
-    if (position_um is None) != (orientation_arcsec is None):
+    if whole and (position_um is None) != (orientation_arcsec is None):
         raise InputError("verify: expected both --position-um and --orientation-arcsec")
-    if position_um is not None and orientation_arcsec is not None:
+    if position_um is not None:
         return position_um, orientation_arcsec
     if not (results / PROVENANCE_FILE).is_file():
         return None
     for data in read_json(results / PROVENANCE_FILE).get("config", {}).get("data", []):
         rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
-        if rotation is not None and (position := data.get("position_um")) is not None:
+        if (rotation is not None or not whole) and (position := data.get("position_um")) is not None:
             return float(position), rotation
     return None
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -57,23 +58,27 @@ def read_uses(table: CsvTable) -> np.ndarray:
     uses = table.text("use")
     for row, use in enumerate(uses):
         if use not in USES:
-            raise InputError(f"{table.where(row)}: use: found {use!r}, expected one of {', '.join(USES)}")
+            raise InputError(
+                f"{table.where(row)}: {table.name('use')}: found {use!r}, expected one of {', '.join(USES)}"
+            )
     return np.array([use == "verification" for use in uses])
 
 
-def check_travel(actuators: Array, limits: Array, channels: Sequence[Channel], names: Sequence[str]) -> None:
+def check_travel(
+    actuators: Array, limits: Array, channels: Sequence[Channel], names: Sequence[str], path: Path
+) -> None:
     """Raise InputError where positions (P, N) lie beyond the limits (N, 2) of commanded channels, where there are any.
 
     Limits are no wider than the ends of the channels' readings. Lengths and others are looked at by themselves; the
-    message names a leg's channel by its leg.
+    message names row and column of the table that they were read from.
     """
     limits = narrow_range(limits, channels)
     for unit in dict.fromkeys(one.unit for one in channels):
         some = [k for k, one in enumerate(channels) if one.unit == unit and np.isfinite(limits[k]).all()]
         middle, reach = limits[some].mean(axis=1), 0.5 * np.ptp(limits[some], axis=1)
-        words = [f"leg {channels[k].name[4:-1]}" if channels[k].kind == "rho" else channels[k].name for k in some]
         if some:
-            check_range(actuators[:, some], middle, reach, names, words, unit)
+            stems = [channels[k].stem for k in some]
+            check_range(actuators[:, some], middle, reach, names, partial(find_position, path, stems, unit))
 
 
 def check_ends(table: CsvTable, column: str, channel: Channel, values: Array, factor: float) -> None:
@@ -82,7 +87,7 @@ def check_ends(table: CsvTable, column: str, channel: Channel, values: Array, fa
     ``factor`` is the size of the column's unit in the channel's; NaN is no reading. Readings of the machine's own
     channels have a margin, since their zeros are not known.
     """
-    low, high = (one / factor for one in channel.ends)
+    name, (low, high) = table.name(column), (one / factor for one in channel.ends)
     margin = 0.0 if channel.external or not np.isfinite(high - low) else 0.5 * OVERTRAVEL * (high - low)
     wrong = (values < low - margin) | (values > high + margin)
     if wrong.any():
@@ -92,7 +97,7 @@ def check_ends(table: CsvTable, column: str, channel: Channel, values: Array, fa
         table.refuse(
             wrong,
             lambda row: (
-                f"{column}: found {values[row]:g}, expected {low:g} to {high:g}, all that {channel.name} can read{hint}"
+                f"{name}: found {values[row]:g}, expected {low:g} to {high:g}, all that {channel.name} can read{hint}"
             ),
         )
 
@@ -102,13 +107,13 @@ def check_range(
     home: Array,
     largest: float | Array,
     names: Sequence[str],
-    words: Sequence[str] = (),
-    unit: str = "mm",
+    find: Callable[[str, int], tuple[str, str, float]] | None = None,
 ) -> None:
     """Raise InputError where actuators have moved further than they can; the message tries what may have gone wrong.
 
-    Positions (P, N), the initial ones (N,) and the largest displacements from there, in one unit; names of the poses,
-    and words for the actuators, legs where there are none.
+    Positions (P, N), the initial ones (N,) and the largest displacements from there, in one unit; names of the poses.
+    ``find`` says where the position of a pose and an actuator stands in a file, as `find_position` does; without it
+    actuators are legs, and positions in mm.
     """
     moved = np.abs(actuators - home)
     reach = np.broadcast_to(largest, home.shape)
@@ -116,12 +121,24 @@ def check_range(
     if not np.any(moved > limit):
         return
     pose, leg = divmod(int(np.argmax(moved - limit)), len(home))
-    word = words[leg] if words else f"leg {leg + 1}"
+    where, unit, size = (f"pose {names[pose]!r}, leg {leg + 1}", "mm", 1.0) if find is None else find(names[pose], leg)
     raise InputError(
-        f"pose {names[pose]!r}, {word}: found {actuators[pose, leg]:g} {unit}, "
-        f"{moved[pose, leg]:.3g} {unit} from the initial position, expected at most {reach[leg]:g} "
+        f"{where}: found {actuators[pose, leg] / size:g} {unit}, "
+        f"{moved[pose, leg] / size:.3g} {unit} from the initial position, expected at most {reach[leg] / size:g} "
         f"{unit}{_explain(actuators, home, limit) if unit == 'mm' else ''}"
     )
+
+
+def find_position(path: Path, stems: Sequence[str], unit: str, pose: str, place: int) -> tuple[str, str, float]:
+    """Return where a position stands in its file, the unit that it has there, and the size of that.
+
+    Positions are in the columns of these stems, in a unit of the same kind.
+    """
+    table = read_table(path, None)
+    row = table.text("pose").index(pose)
+    units = {f"{stems[place]}_{other}": (other, size) for other, size in units_like(unit).items()}
+    column = next(name for name in table.columns if name in units)
+    return (f"{table.where(row)}: pose {pose!r}, {table.name(column)}", *units[column])
 
 
 def _explain(actuators: Array, home: Array, limit: Array) -> str:

@@ -266,7 +266,8 @@ class LegSampling(Sampling):
     def legs(self) -> list[np.ndarray]:
         """Which of the free parameters belong to each leg."""
         own = self.coordinates.symbols  # of the legs, and not of an instrument beside them
-        per_leg = [one.symbol for one in self.layout.blocks if one.per_leg and (own is None or one.symbol in own)]
+        blocks = [one for one in self.layout.blocks if one.per_leg and not one.axes]
+        per_leg = [one.symbol for one in blocks if own is None or one.symbol in own]
         legs = [[self.layout.index[s][leg] for s in per_leg] for leg in range(self.n_jumps)]
         return [np.flatnonzero(np.isin(self.free, leg)) for leg in legs]
 

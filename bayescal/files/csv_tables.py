@@ -8,9 +8,10 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,14 +27,38 @@ LARGEST = 1e9
 """Numbers beyond this size are taken for slips: as millimetres, a thousand kilometres."""
 
 
+class WrittenColumn(NamedTuple):
+    """What a file calls a column, and the size of its unit there in the unit that it has here."""
+
+    name: str
+    size: float = 1.0
+
+
 @dataclass(frozen=True)
 class CsvTable:
-    """Text cells of a table's file with the line each row stands on."""
+    """Text cells of a table's file with the line each row stands on.
+
+    Cells are as the file has them: ``written`` says of which columns it has another name or unit, and `numbers`
+    converts. Messages name the file's own column and value, by `name` and `show`.
+    """
 
     path: Path
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
+    written: Mapping[str, WrittenColumn] = field(default_factory=dict)
+
+    def written_as(self, column: str) -> WrittenColumn:
+        """Return how the file has a column."""
+        return self.written.get(column, WrittenColumn(column))
+
+    def name(self, column: str) -> str:
+        """Return the file's own name of a column."""
+        return self.written_as(column).name
+
+    def show(self, column: str, value: float) -> str:
+        """Return a value in the unit that the file has the column in."""
+        return f"{value / self.written_as(column).size:g}"
 
     def where(self, row: int) -> str:
         """Return ``file, line n``."""
@@ -45,11 +70,10 @@ class CsvTable:
         values = [release_cell(row[k].strip()) for row in self.rows]
         for number, value in enumerate(values):
             if not value:
-                raise InputError(f"{self.where(number)}: {column}: found an empty cell, expected a name")
+                raise InputError(f"{self.where(number)}: {self.name(column)}: found an empty cell, expected a name")
             if not is_plain(value):
-                raise InputError(
-                    f"{self.where(number)}: {column}: found control characters in {value!r}, expected a name"
-                )
+                where = f"{self.where(number)}: {self.name(column)}"
+                raise InputError(f"{where}: found control characters in {value!r}, expected a name")
         return values
 
     def numbers(self, columns: Sequence[str], gaps: bool = False) -> Array:
@@ -64,18 +88,18 @@ class CsvTable:
 
     def convert(self, known: Collection[str]) -> CsvTable:
         """Return the same with lengths and angles in the units of known columns: ``x_m`` is ``x_mm`` then."""
-        table = self
-        for name, (wanted, factor) in find_units(self.columns, known).items():
-            k, values = self.columns.index(name), self.numbers([name], gaps=True)[:, 0]
-            cells = ["" if np.isnan(one) else repr(float(factor * one)) for one in values]
-            rows = tuple((*row[:k], cell, *row[k + 1 :]) for row, cell in zip(table.rows, cells, strict=True))
-            table = replace(table, columns=(*table.columns[:k], wanted, *table.columns[k + 1 :]), rows=rows)
-        return table
+        units = find_units(self.columns, known)
+        own = {name: self.written_as(name) for name in units}
+        found = {
+            wanted: WrittenColumn(own[name].name, factor * own[name].size) for name, (wanted, factor) in units.items()
+        }
+        columns = tuple(units[name][0] if name in units else name for name in self.columns)
+        return replace(self, columns=columns, written={**self.written, **found})
 
     def positive(self, columns: Sequence[str]) -> Array:
         """Return columns as `numbers` does; zero or less is an error, too."""
         result = self.numbers(columns)
-        self.refuse(result <= 0.0, lambda row, k: f"{columns[k]}: found {result[row, k]:g}, expected above 0")
+        self.refuse_values(columns, result, result <= 0.0, "expected above 0")
         return result
 
     def refuse(self, wrong: np.ndarray, say: Callable[..., str]) -> None:
@@ -83,12 +107,27 @@ class CsvTable:
         for row, *places in np.argwhere(wrong)[:1]:
             raise InputError(f"{self.where(row)}: {say(row, *places)}")
 
+    def refuse_values(self, columns: Sequence[str], values: Array, wrong: np.ndarray, expected: str) -> None:
+        """Raise InputError for the first value of some columns (rows, columns) that a mask of that shape marks."""
+        self.refuse(
+            wrong,
+            lambda row, k: f"{self.name(columns[k])}: found {self.show(columns[k], float(values[row, k]))}, {expected}",
+        )
+
+    def refuse_beyond(self, columns: Sequence[str], values: Array, most: float, what: str = "", hint: str = "") -> None:
+        """Raise InputError for the first value of some columns (rows, columns) that is larger in size, or smaller."""
+        for k, one in enumerate(columns):
+            expected = f"expected {what}at most {self.show(one, most)} in size{hint}"
+            self.refuse_values(columns[k : k + 1], values[:, k : k + 1], np.abs(values[:, k : k + 1]) > most, expected)
+
     def has(self, columns: Sequence[str]) -> bool:
         """Whether the table has any of these columns; InputError where it has some of them, but not all."""
         there = [column for column in columns if column in self.columns]
         if there and len(there) < len(columns):
             missing = next(column for column in columns if column not in self.columns)
-            raise InputError(f"{self.path}: found column {there[0]!r} without {missing!r}, expected all or none")
+            raise InputError(
+                f"{self.path}: found column {self.name(there[0])!r} without {missing!r}, expected all or none"
+            )
         return bool(there)
 
     def check_unique(self, keys: Sequence[tuple[str, ...]], what: str) -> None:
@@ -101,15 +140,18 @@ class CsvTable:
             seen[key] = row
 
     def _number(self, cell: str, row: int, column: str) -> float:
+        name, size = self.written_as(column)
         try:
-            value = float(cell.replace("_", "?"))  # Python would read 1_0 as ten
+            value = size * float(cell.replace("_", "?"))  # Python would read 1_0 as ten
         except ValueError as error:
             hint = " with a decimal point, or a TOML file with decimal = ','" if DECIMAL_COMMA.fullmatch(cell) else ""
-            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()!r}, expected a number{hint}") from error
+            raise InputError(f"{self.where(row)}: {name}: found {cell.strip()!r}, expected a number{hint}") from error
         if not math.isfinite(value):
-            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected a finite number")
+            raise InputError(f"{self.where(row)}: {name}: found {cell.strip()}, expected a finite number")
         if abs(value) > LARGEST:
-            raise InputError(f"{self.where(row)}: {column}: found {cell.strip()}, expected at most {LARGEST:g} in size")
+            raise InputError(
+                f"{self.where(row)}: {name}: found {cell.strip()}, expected at most {LARGEST / size:g} in size"
+            )
         return value
 
 
@@ -133,7 +175,8 @@ def read_table(path: Path, columns: Sequence[str] | None, optional: Sequence[str
     cells.check_lengths()
     if not cells.rows:
         raise InputError(f"{cells.path}: found no rows, expected some")
-    return CsvTable(cells.path, cells.header, cells.rows, cells.lines).convert(known)
+    written = {here: WrittenColumn(name) for here, name in cells.named.items()}
+    return CsvTable(cells.path, cells.header, cells.rows, cells.lines, written).convert(known)
 
 
 def find_units(columns: Sequence[str], known: Collection[str]) -> dict[str, tuple[str, float]]:

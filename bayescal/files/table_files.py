@@ -45,7 +45,7 @@ class TableCells:
     """Text cells of a file under a header, with the line that each row stands on.
 
     ``fault`` is what is wrong with how the header is written, empty where nothing is; ``pose`` how rows may be named by
-    their order.
+    their order; ``named`` the file's own names of columns that have another here.
     """
 
     path: Path
@@ -55,6 +55,7 @@ class TableCells:
     header_line: int = 1
     fault: str = ""
     pose: str = ""
+    named: Mapping[str, str] = field(default_factory=dict)
 
     def check_lengths(self) -> None:
         """Raise InputError for a row with more or fewer cells than the header."""
@@ -148,7 +149,8 @@ class TableForm:
         kept = [k for k, one in enumerate(cells.header) if named.get(one, one)]
         header = tuple(named.get(cells.header[k], cells.header[k]) for k in kept)
         rows = tuple(tuple(row[k] for k in kept) for row in cells.rows)
-        return replace(cells, header=header, rows=rows, pose=self.pose)
+        own = {here: cells.header[k] for k, here in zip(kept, header, strict=True) if here != cells.header[k]}
+        return replace(cells, header=header, rows=rows, pose=self.pose, named=own)
 
     def where(self, key: str) -> str:
         """Return where a key stands in the TOML file."""

@@ -144,7 +144,7 @@ def _write_audit(name: str, instrument: str, slides: Sequence[bool], places: Map
             wide += f'{socket}_place = {{ prior = "normal", sd = 100.0 }}\n'
             noise += f"{socket} = {{ noise_mm = 0.05 }}\n"
         if len(places) > 1:
-            both = ", ".join(f'"{socket}_place[2]"' for socket in places)
+            both = ", ".join(f'"{socket}_place[y]"' for socket in places)
             by, tied = "a ball in two sockets", f", tied = [[{both}]]"
             apart = np.ptp(np.array([*places.values()])[:, 1])
             section += f"# they are {apart:.1f} mm apart along y, which is known: their y is off alike\n"

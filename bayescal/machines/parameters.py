@@ -107,7 +107,7 @@ def _rows(frame: Array) -> Rows:
 
 @dataclass(frozen=True)
 class ParameterBlock:
-    """One symbol's parameters: one value per leg, or one value for the machine.
+    """One symbol's parameters: one value per leg, the components of a vector in space, or one value for the machine.
 
     Attributes
     ----------
@@ -121,11 +121,16 @@ class ParameterBlock:
         Whether the values belong to legs; then they are named ``a_x[1]``, legs counted from one.
     lower, upper : float
         There is a machine only strictly between them.
+    axes : str
+        Letters of the axes, where the values are components of a point or of a rotation vector; then they are named
+        ``tool[x]``, and belong to no leg.
 
     Examples
     --------
     >>> bc.ParameterBlock("l", (300.0, 300.0, 300.0)).names
     ('l[1]', 'l[2]', 'l[3]')
+    >>> bc.ParameterBlock("tool", (0.0, 0.0, 120.0), axes="xyz").names
+    ('tool[x]', 'tool[y]', 'tool[z]')
     """
 
     symbol: str
@@ -134,12 +139,15 @@ class ParameterBlock:
     per_leg: bool = True
     lower: float = -np.inf
     upper: float = np.inf
+    axes: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the block's parameters."""
         if not self.per_leg:
             return (self.symbol,)
+        if self.axes:
+            return tuple(f"{self.symbol}[{axis}]" for axis, _ in zip(self.axes, self.nominal, strict=True))
         return tuple(f"{self.symbol}[{leg}]" for leg in range(1, len(self.nominal) + 1))
 
 

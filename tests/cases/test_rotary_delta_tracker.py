@@ -64,7 +64,7 @@ def test_a_frame_that_nobody_states_is_found(study, keys):
     assert centres[0] == centres[1] == centres[2]  # evidence compares them
     names = {"frame_mm": "tracker_frame", "frame_deg": "tracker_frame_r"}
     for key, stated, near, wide in zip(names, (FRAME_MM, FRAME), (3.0, 0.01), (1e3, 0.5), strict=True):
-        mean, sd = np.transpose([centres[0][f"{names[key]}[{k}]"] for k in (1, 2, 3)])
+        mean, sd = np.transpose([centres[0][f"{names[key]}[{k}]"] for k in "xyz"])
         np.testing.assert_allclose(mean, stated, atol=near if key in keys else 1e-9)
         assert (sd > wide).all() == (key in keys)
     assert all(key in inputs.found for key in keys)
@@ -73,12 +73,12 @@ def test_a_frame_that_nobody_states_is_found(study, keys):
 def test_it_is_free_in_variants_that_do_not_name_it(study):
     edit(study, *forget("frame_mm", "frame_deg"), (r', "tracker_frame", "tracker_frame_r"\]', "]"))
     for one in read(study).variants.values():
-        assert {f"tracker_frame{end}[{k}]" for end in ("", "_r") for k in (1, 2, 3)} <= set(one.priors)
+        assert {f"tracker_frame{end}[{k}]" for end in ("", "_r") for k in "xyz"} <= set(one.priors)
 
 
 def test_a_tolerance_without_a_value_may_be_left_out(study):
     edit(study, *forget("frame_mm", "frame_deg", "tracker_frame", "tracker_frame_r"))
-    assert "tracker_frame[1]" in read(study, "zeros").variants["zeros"].priors
+    assert "tracker_frame[x]" in read(study, "zeros").variants["zeros"].priors
 
 
 def test_a_stated_frame_that_the_readings_contradict_is_refused(study):
@@ -97,7 +97,7 @@ def test_a_wide_tolerance_about_zero_leads_to_the_same_machine(study):
         np.testing.assert_allclose(one.theta(one.least_squares_start()[None])[0, -6:-3], FRAME_MM, atol=5.0)
     first, second = (one.theta(one.least_squares_start()[None])[0] for one in (stated, own))
     assert np.abs(first - second)[:-6].max() < 0.5
-    assert own.priors["tracker_frame[1]"].mean == 0.0  # as stated
+    assert own.priors["tracker_frame[x]"].mean == 0.0  # as stated
     assert find_slip([inputs.variants["all"].list_readings()]) is None
 
 
@@ -184,7 +184,7 @@ def test_a_reverification_reads_the_instrument(run, call, tmp_path, rng):
     _, out = run
     calibrated = load_calibrated(out, allow_unconverged=True, with_instruments=True)
     assert "tracker[x]" in calibrated.model.names
-    assert "tracker_frame[1]" in calibrated.names
+    assert "tracker_frame[x]" in calibrated.names
     write_session(calibrated, tmp_path / "moved.csv", rng, 103.0)
     write_session(calibrated, tmp_path / "same.csv", rng, 0.0)
     asked = ("verify", out, "--allow-unconverged", "--sessions", 1, "--parameters", "theta0", "--measured")

@@ -67,9 +67,12 @@ def test_a_rotation_that_was_not_measured_is_none(tmp_path):
             f"{','.join(MATRIX)}\n1,0,0,0,1.01,0,0,0,1\n",
             "line 2: found a matrix whose columns are off unit axes by 0.02",
         ),
-        ("roll_rad,pitch_rad,yaw_rad\n0,0,0\n1,2,90\n", "line 3: found an angle of .* degrees in columns of radians?"),
-        ("rx_rad\n90\n", "found a rotation vector of .* degrees in columns of radians?"),
-        ("rx_deg\n190\n", "found a rotation vector of 190 deg, expected at most 180"),
+        ("roll_rad,pitch_rad,yaw_rad\n0,0,0\n1,2,90\n", "line 3: yaw_rad: found 90, .* degrees in columns of radians?"),
+        (
+            "rx_rad\n90\n",
+            "rx_rad: found 90, .* at most 3.14159 .* degrees in columns of radians?",
+        ),
+        ("rx_deg\n190\n", "rx_deg: found 190, expected a rotation vector of at most 180"),
     ],
 )
 def test_faults_are_said_in_a_line(tmp_path, text, said):

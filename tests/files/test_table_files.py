@@ -74,7 +74,7 @@ def test_parquet_is_read_where_its_library_is(tmp_path):
         (
             SEMICOLONS,
             "separator = ';'\n" + NAMES,
-            "t.csv, line 2: x_m: found '0,8125', expected a number with a decimal",
+            "t.csv, line 2: q0: found '0,25', expected a number with a decimal",
         ),
         (
             SEMICOLONS.replace("0,8125", "0.8125"),

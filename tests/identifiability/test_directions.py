@@ -194,8 +194,8 @@ def test_frames_move_with_the_joints():
     for d in structural:
         moved = {names[k] for k in np.flatnonzero(d.vector)}
         for frame, body in (("i_frame", "a"), ("i_target", "b")):
-            for k, axis in enumerate("xyz", start=1):
-                if moved == {f"{frame}[{k}]", *(f"{body}_{axis}[{leg}]" for leg in range(1, 7))}:
+            for axis in "xyz":
+                if moved == {f"{frame}[{axis}]", *(f"{body}_{axis}[{leg}]" for leg in range(1, 7))}:
                     shifts[frame, axis] = d
     assert len(shifts) == 6
     assert len(structural) == 12

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -37,10 +38,12 @@ from bayescal.data.instruments.read_poses import (
 )
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.density.calibration.measurements import Measurements
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, Legs, locate_tool
+from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker, locate_tool
+from bayescal.machines.readings.newton import share_contacts, touch
+from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
 from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -119,6 +122,37 @@ def _cover_workspace(calibrated: CalibratedMachine, share: float) -> tuple[Array
     if not (within & found).any():
         raise InputError(f"machine {calibrated.name!r}: found no workspace pose in reach, expected some")
     return commands[within & found], {name: value[within & found] for name, value in given.items()}
+
+
+def lead_to_contacts(
+    calibrated: CalibratedMachine, commands: Array, given: Given, planned: Measurements
+) -> tuple[Array, Given, Measurements, tuple[str, ...]]:
+    """Return candidates led to where instruments touch, a row of what is read at each, and the one that touches there.
+
+    ``planned`` is a row that says which channels are read; where none of an instrument that touches, all stays as it
+    is. Instruments take turns, and poses keep to the workspace. InputError where none of them touches.
+    """
+    model, theta, (low, high) = calibrated.model, calibrated.theta, bound_workspace(calibrated)
+    asked = {name: bool(planned.present[0, model.instrument_places[name]].all()) for name in model.contacts}
+    if not any(asked.values()):
+        return commands, given, planned, ()
+    start, _ = model.locate(theta, commands, given, weights=calibrated.weights)
+    read = share_contacts(model, len(start))
+    with np.errstate(all="ignore"):
+        pose, found = touch(model, theta, start, read, np.zeros(read.shape), given)
+        values = model.read(theta, pose, given)
+        found &= ((pose >= low) & (pose <= high)).all(axis=1) & ~model.find_beyond(values).any(axis=1)
+    names = [model.contacts[k % len(model.contacts)] for k in range(len(start))]
+    found &= np.isfinite(values[:, calibrated.commanded]).all(axis=1) & [asked[name] for name in names]
+    some = np.flatnonzero(found)
+    if not len(some):
+        raise InputError(f"machine {calibrated.name!r}: found no pose that touches {' or '.join(model.contacts)}")
+    planned = replace(
+        expect_readings(np.where(read & planned.present, planned.sd, np.nan)[some]),
+        correlation=None if planned.correlation is None else np.repeat(planned.correlation, len(some), axis=0),
+    )
+    there = {name: value[some] for name, value in given.items()}
+    return values[some][:, calibrated.commanded], there, planned, tuple(names[k] for k in some)
 
 
 def _place_near_home(legs: Legs, theta: Array, reach: float) -> Array:
@@ -240,22 +274,39 @@ def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
     return model.reads_pose and not model.given and places == list(POSE) and list(model.names) == own
 
 
-def build_covariance(position_um: float, orientation_arcsec: float) -> Array:
-    """Return the covariance of a measured pose (6, 6), mm and rad, of equal errors along all axes."""
-    sd = [MICROMETRE * position_um] * 3 + [ARCSECOND * orientation_arcsec] * 3
+def find_tracker(calibrated: CalibratedMachine) -> str | None:
+    """Return the name of the instrument that measured poses of the tool in a frame of its own; None without any."""
+    beside = calibrated.model.instruments if isinstance(calibrated.model, InstrumentedMachine) else ()
+    return next((one.name for one in beside if isinstance(one.machine, Tracker)), None)
+
+
+def build_covariance(position_um: float, orientation_arcsec: float | None) -> Array:
+    """Return the covariance of a measured pose (6, 6), mm and rad, of equal errors along all axes.
+
+    NaN of rotations that are not measured.
+    """
+    rotation = np.nan if orientation_arcsec is None else ARCSECOND * orientation_arcsec
+    sd = [MICROMETRE * position_um] * 3 + [rotation] * 3
     return np.diag(np.square(sd))
 
 
-def read_mean_covariance(path: Path) -> Array:
-    """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns."""
+def read_mean_covariance(path: Path, in_part: bool = False) -> Array:
+    """Return the mean covariance (6, 6) of the poses of a table, mm and rad, by covariances or by ``sd_`` columns.
+
+    Of poses that may be measured in part, NaN where the table has no noise.
+    """
     upper, lower = name_covariances(POSE)
     table = read_table(path, ("pose",), (*read_table(path, None).columns, *upper, *lower))
     if not any(name in table.columns for name in (*upper, *DEVIATIONS)):
         raise InputError(f"{path}: found no noise, expected cov_x_x ... cov_rz_rz or sd_x_um ... sd_rz_urad")
-    whole = np.ones((len(table.rows), len(POSE)), dtype=bool)
-    covariance = read_noise(table, PoseNoise(), whole)
-    check_positive(table, covariance, whole)
-    return np.asarray((covariance * np.outer(UNITS, UNITS)).mean(axis=0))
+    stated = [
+        not {f"cov_{name}_{name}", sd}.isdisjoint(table.columns) for name, sd in zip(POSE, DEVIATIONS, strict=True)
+    ]
+    measured = np.tile(np.array(stated) | (not in_part), (len(table.rows), 1))
+    covariance = read_noise(table, PoseNoise(), measured)
+    check_positive(table, covariance, measured)
+    mean = (covariance * np.outer(UNITS, UNITS)).mean(axis=0)
+    return np.where(np.outer(measured[0], measured[0]), mean, np.nan)
 
 
 def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurements:
@@ -263,6 +314,17 @@ def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurement
     return place_poses(
         ("plan",), np.zeros((1, len(calibrated.commanded))), np.zeros((1, DEGREES_OF_FREEDOM)), covariance[None]
     )
+
+
+def expect_tracked(calibrated: CalibratedMachine, tracker: str, covariance: Array) -> Measurements:
+    """Return a row that says that an instrument measures the tool's pose, with a covariance (6, 6), mm and rad."""
+    places, n = calibrated.model.instrument_places[tracker], len(calibrated.model.channels)
+    sd = np.full(n, np.nan) if calibrated.noise is None else calibrated.noise.copy()
+    seen = covariance[: len(places), : len(places)]  # the position alone, of a tool that does not say how it is turned
+    sd[places], correlation = np.sqrt(np.diagonal(seen)), np.eye(n)
+    known = seen / np.outer(sd[places], sd[places])
+    correlation[np.ix_(places, places)] = np.where(np.isfinite(known), known, np.eye(len(places)))
+    return replace(expect_readings(sd), correlation=correlation[None])
 
 
 def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covariance: Array) -> Measurements:
@@ -297,8 +359,8 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
     turned = np.isfinite(readings.values[:, 3:])
     for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
         raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
-    with name_faults(path if actuators is None else actuators):
-        check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names)
+    table = path if actuators is None else actuators
+    check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names, table)
     readings.check_units(locate_tool(calibrated.model, readings.actuators), path)
     return readings
 
@@ -307,8 +369,10 @@ def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrate
 
 
 def expect_readings(sd: Array) -> Measurements:
-    """Return a row that says which channels are read, by their noise (K,); NaN for those that are not."""
-    return Measurements(("plan",), np.where(np.isfinite(sd), 0.0, np.nan)[None], np.nan_to_num(sd, nan=1.0)[None])
+    """Return rows that say which channels are read, by their noise (K,) or (P, K); NaN for those that are not."""
+    sd = np.atleast_2d(sd)
+    names = tuple(f"plan {k}" for k in range(1, len(sd) + 1))
+    return Measurements(names, np.where(np.isfinite(sd), 0.0, np.nan), np.nan_to_num(sd, nan=1.0))
 
 
 def add_commands(path: Path, plan: Path | None, readings: Measurements, calibrated: CalibratedMachine) -> Measurements:
@@ -352,24 +416,37 @@ def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachin
 # --- what is written -----------------------------------------------------------------------------------------------
 
 
-def format_plan(calibrated: CalibratedMachine, plan: ReverificationPlan, title: str) -> str:
-    """Return a plan as CSV text: the poses of one session, the one that shows most first."""
+def format_plan(
+    calibrated: CalibratedMachine, plan: ReverificationPlan, title: str, touching: Sequence[str] = ()
+) -> str:
+    """Return a plan as CSV text: the poses of one session, the one that shows most first.
+
+    ``touching`` are the instruments that touch at the candidates out of which it is chosen, where any do.
+    """
     channels = calibrated.command_channels
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
-    if is_read_by_pose(calibrated):
+    if is_read_by_pose(calibrated) or find_tracker(calibrated) is not None:
+        whose = "platform pose, base" if is_read_by_pose(calibrated) else "tool pose, instrument"
         how = [
-            "Measure the platform pose, base frame: pose, x_mm, y_mm, z_mm,",
+            f"Measure the {whose} frame: pose, x_mm, y_mm, z_mm,",
             f"rx_deg, ry_deg, rz_deg; {back}",
         ]
     else:
-        how = ["Read the channels at each;", back]
+        how = [f"{'Touch the instrument of' if touching else 'Read the channels at'} each;", back]
     comments = [*calibrated.source.describe(), title, *how]
-    columns = ["pose", "use", *plan.given, *(name_column(calibrated, one) for one in channels)]
+    beside = [(touching[k],) for k in plan.chosen] if touching else [()] * len(plan.chosen)
+    columns = [
+        "pose",
+        "use",
+        *([READ_BY] if touching else []),
+        *plan.given,
+        *(name_column(calibrated, one) for one in channels),
+    ]
     known = list(zip(*plan.given.values(), strict=True)) or [()] * len(plan.commands)
     rows = [
-        (f"R{k:02d}", "calibration", *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
-        for k, (own, one) in enumerate(
-            zip(known, show_values(calibrated, plan.commands, channels), strict=True), start=1
+        (f"R{k:02d}", "calibration", *by, *map(repr, map(float, own)), *(f"{x:.6f}" for x in one))
+        for k, (by, own, one) in enumerate(
+            zip(beside, known, show_values(calibrated, plan.commands, channels), strict=True), start=1
         )
     ]
     return format_table(comments, columns, rows)

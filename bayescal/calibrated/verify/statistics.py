@@ -181,9 +181,9 @@ def predict_knowledge(
 ) -> PoseInformation:
     """Return what poses at commands (P, C), in the channels' units, will say.
 
-    ``planned`` is one row that says which channels will be read, by numbers, and their noise; that of the commanded
-    channels is the machine's own. InputError where the machine has no pose at one of them, or where nothing will show a
-    shift.
+    ``planned`` is a row, or one for each pose, that says which channels will be read, by numbers, and their noise; that
+    of the commanded channels is the machine's own. InputError where the machine has no pose at one of them, or where
+    nothing will show a shift.
     """
     model = calibrated.model
     pose, found = model.locate(calibrated.theta, commands, given, weights=calibrated.weights)
@@ -192,9 +192,10 @@ def predict_knowledge(
     n = len(commands)
     values = np.where(planned.present, model.read(calibrated.theta, pose, given), np.nan)
     values[:, calibrated.commanded] = model.read(calibrated.theta, pose, given)[:, calibrated.commanded]
-    correlation = None if planned.correlation is None else np.repeat(planned.correlation, n, axis=0)
+    own = planned.correlation
+    correlation = None if own is None else np.broadcast_to(own, (n, *own.shape[1:])).copy()
     names = tuple(f"pose {k}" for k in range(1, n + 1))
-    data = Measurements(names, values, np.repeat(planned.sd, n, axis=0), given, correlation)
+    data = Measurements(names, values, np.broadcast_to(planned.sd, values.shape).copy(), given, correlation)
     return _linearise(calibrated, suspects, data, pose)
 
 

@@ -174,10 +174,7 @@ def _read_coordinates(table: CsvTable, noise: PointNoise) -> tuple[Array, Array]
     raw = table.numbers(POLAR)
     table.positive(POLAR[:1])
     for k, limit in ((1, 360.0), (2, 90.0)):
-        table.refuse(
-            np.abs(raw[:, k]) > limit,
-            lambda row, k=k, limit=limit: f"{POLAR[k]}: found {raw[row, k]:g}, expected at most {limit:g}",
-        )
+        table.refuse_beyond(POLAR[k : k + 1], raw[:, k : k + 1], limit)
     reading = np.concatenate([raw[:, :1], np.radians(raw[:, 1:])], axis=1)
     coordinates, slopes = convert_polar(reading)
     change = slopes * _read_polar_noise(table, noise, raw[:, 0])[:, None, :]

@@ -28,7 +28,7 @@ from bayescal.data.actuators import Columns, check_calibration, read_actuators, 
 from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
-from bayescal.files.csv_tables import CsvTable, find_units, read_table
+from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.machines.readings import POSE
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND, MICROMETRE, MICRORADIAN
@@ -75,7 +75,7 @@ def read_taken(table: CsvTable, path: Path | None, columns: Columns) -> PoseReco
     order = [places[name] for name in names]
     for row, k in enumerate(order):
         if uses is not None and uses[row] != verification[k]:
-            raise InputError(f"{table.where(row)}: use: differs from {path}, expected the same")
+            raise InputError(f"{table.where(row)}: {table.name('use')}: differs from {path}, expected the same")
     check_calibration(path, verification)
     return PoseRecords(tuple(names), verification[order], positions[order])
 
@@ -124,14 +124,16 @@ def read_covariances(table: CsvTable, components: Sequence[str], measured: np.nd
     table.refuse(
         unlike,
         lambda row, i, j: (
-            f"cov_{components[i]}_{components[j]}: found {result[row, i, j]:g}, "
-            f"expected {result[row, j, i]:g} as cov_{components[j]}_{components[i]}"
+            f"{table.name(f'cov_{components[i]}_{components[j]}')}: found {result[row, i, j]:g}, "
+            f"expected {result[row, j, i]:g} as {table.name(f'cov_{components[j]}_{components[i]}')}"
         ),
     )
     result = np.where(np.isfinite(result), result, mirrored)
     table.refuse(
         measured[:, :, None] & measured[:, None, :] & ~np.isfinite(result),
-        lambda _, i, j: f"cov_{components[min(i, j)]}_{components[max(i, j)]}: found nothing, expected a number",
+        lambda _, i, j: (
+            f"{table.name(f'cov_{components[min(i, j)]}_{components[max(i, j)]}')}: found nothing, expected a number"
+        ),
     )
     return result
 
@@ -196,10 +198,6 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
     or angles beyond a whole one.
     """
     forms = {tuple(f"{prefix}{name}" for name in names): names for names in (VECTOR, QUATERNION, MATRIX, *ANGLES)}
-    radians = any(
-        name.endswith("_rad") for name in find_units(table.columns, [one for names in forms for one in names])
-    )
-    hint = "; degrees in columns of radians?" if radians else ""
     table = table.convert([one for names in forms for one in names])
     found = [names for names in forms if any(name in table.columns for name in names)]
     if len(found) > 1:
@@ -209,12 +207,12 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
         return np.full((len(table.rows), 3), np.nan)
     form = forms[found[0]]
     if form == VECTOR:
-        return _read_vectors(table, found[0], hint)
+        return _read_vectors(table, found[0])
     table.has(found[0])
     values = table.numbers(found[0], gaps=True)
     there = np.isfinite(values)
     whole = there.all(axis=1)
-    text = f"found part of a rotation, expected {', '.join(found[0])} or none"
+    text = f"found part of a rotation, expected {', '.join(map(table.name, found[0]))} or none"
     table.refuse(there.any(axis=1) & ~whole, lambda _: text)
     result = np.full((len(values), 3), np.nan)
     if form == QUATERNION:
@@ -238,25 +236,23 @@ def read_rotation_vectors(table: CsvTable, prefix: str = "") -> Array:
         )
         turned = Rotation.from_matrix(matrix[whole])
     else:
-        largest = np.abs(values).max(axis=1)
-        table.refuse(largest > 360.0, lambda row: f"found an angle of {largest[row]:g} deg, expected at most 360{hint}")
+        table.refuse_beyond(found[0], values, 360.0, hint=_doubt_radians(table, found[0]))
         turned = Rotation.from_euler(ANGLES[form], values[whole], degrees=True)
     result[whole] = turned.as_rotvec()
     return result
 
 
-def _read_vectors(table: CsvTable, names: Sequence[str], hint: str) -> Array:
+def _doubt_radians(table: CsvTable, names: Sequence[str]) -> str:
+    """Return what may be wrong with angles that are too large, where the file's unit is larger than degrees."""
+    return "; degrees in columns of radians?" if any(table.written_as(one).size > 1.0 for one in names) else ""
+
+
+def _read_vectors(table: CsvTable, names: Sequence[str]) -> Array:
     values = np.full((len(table.rows), 3), np.nan)
     there = [k for k, name in enumerate(names) if name in table.columns]
     values[:, there] = table.numbers([names[k] for k in there], gaps=True)
-    largest = np.nanmax(np.abs(values), axis=1, initial=0.0)
-    table.refuse(
-        largest > 180.0,
-        lambda row: (
-            f"found a rotation vector of {largest[row]:g} deg, expected at most 180; other angles "
-            f"have columns such as {', '.join(ROLL_PITCH_YAW)}{hint}"
-        ),
-    )
+    hint = f"; other angles have columns such as {', '.join(ROLL_PITCH_YAW)}{_doubt_radians(table, names)}"
+    table.refuse_beyond(names, values, 180.0, "a rotation vector of ", hint)
     return np.radians(values)
 
 
@@ -349,8 +345,8 @@ def read_noise(table: CsvTable, noise: PoseNoise, measured: np.ndarray) -> Array
             sd[:, 3:] = noise.orientation_arcsec * ARCSECOND / MICRORADIAN
         names = ("position_um",) * 3 + ("orientation_arcsec",) * 3
     missing = measured & ~np.isfinite(sd)
-    table.refuse(missing, lambda _, k: f"{VALUES[k]}: found no {names[k]}, expected its noise")
-    table.refuse(measured & ~(sd > 0.0), lambda row, k: f"{names[k]}: found {sd[row, k]:g}, expected above 0")
+    table.refuse(missing, lambda _, k: f"{table.name(VALUES[k])}: found no {table.name(names[k])}, expected its noise")
+    table.refuse_values(names, sd, measured & ~(sd > 0.0), "expected above 0")
     sd = np.where(measured, sd, 1.0)
     result: Array = np.eye(len(VALUES)) * sd[:, None, :] ** 2
     return result

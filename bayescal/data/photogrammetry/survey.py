@@ -81,7 +81,7 @@ def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nda
             raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
         if leg not in range(n_legs + 1) or (leg and body == "base"):
             allowed = f"0 to {n_legs}" if body == "platform" else "0 on the base"
-            raise InputError(f"{table.where(row)}: leg: found {leg:g}, expected {allowed}")
+            raise InputError(f"{table.where(row)}: {table.name('leg')}: found {leg:g}, expected {allowed}")
     result = {}
     for body in BODIES:
         chosen = np.array([b == body for b in bodies])

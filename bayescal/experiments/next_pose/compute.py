@@ -67,9 +67,13 @@ def compute_next_pose(inputs: NextPoseInputs) -> Results:
         steps = list(islice(look_ahead(state.weight, state.covariance, state.rows, allowed), most))
         standings = dict(_foretell(inputs, state, steps)) if inputs.requirements else {}
         chosen = np.array([step.candidate for step in steps[:SHOWN]])
+        touching = state.subject.candidates.touching
         tables = {
             "next_poses": NextPoseRow.tabulate(
-                state.list_poses(chosen), order=np.arange(1, len(chosen) + 1), candidate=chosen + 1
+                state.list_poses(chosen),
+                order=np.arange(1, len(chosen) + 1),
+                candidate=chosen + 1,
+                **({"touching": [touching[k] for k in chosen]} if touching else {}),
             ),
             "requirements": _tabulate_requirements(inputs, state, standings),
             "history": _tabulate_history(inputs, state, standings),
@@ -286,11 +290,13 @@ class State:
     @cached_property
     def rows(self) -> Array:
         """What all channels say of what is unknown at each candidate, its pose eliminated, shape (C, K, m + A)."""
-        given = self.subject.candidates.given
-        slopes = self._differentiate(self._candidates, given)
-        seen = self.machine.see(slopes, {name: value[slopes.places] for name, value in given.items()})
-        rows = np.zeros((len(self._candidates), *seen.shape[1:]))
-        rows[slopes.places] = seen
+        candidates, shape = self.subject.candidates, (len(self.subject.model.channels), len(self.covariance))
+        rows = np.zeros((len(self._candidates), *shape))
+        for some, read in candidates.split(self.subject.model):
+            given = {name: value[some] for name, value in candidates.given.items()}
+            slopes = self._differentiate(self._candidates[some], given)
+            there = {name: value[slopes.places] for name, value in given.items()}
+            rows[some[slopes.places]] = self.machine.see(slopes, there, read)
         return rows
 
     @cached_property
@@ -384,7 +390,9 @@ class State:
         if self.subject.candidates.commanded:
             moves = ", ".join(value for _, value in first)
             return f"Displace the actuators by {moves} mm."
-        return f"Go to {', '.join(f'{one.heading} = {value} {one.unit}' for one, value in first)}."
+        touching = self.subject.candidates.touching
+        there = f", where {touching[candidate]} is touched" if touching else ""
+        return f"Go to {', '.join(f'{one.heading} = {value} {one.unit}' for one, value in first)}{there}."
 
 
 def find_state(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import check_arrays
 from bayescal.experiments.shared.design import read_workspace
 from bayescal.experiments.shared.measured import MeasuredReadings, measure_variants
+from bayescal.experiments.shared.readings.workspace import Workspace, lead_to_contact
 from bayescal.experiments.shared.requirements import is_aligned, name_required_units, read_requirements
 from bayescal.experiments.shared.schema import WorkspaceConfig
 from bayescal.experiments.shared.search_memory import list_readings
@@ -27,6 +28,7 @@ from bayescal.identifiability.pose_volume import PoseVolume, find_workspace_actu
 from bayescal.identifiability.reading_rows import differentiate_poses, typical_given
 from bayescal.identifiability.requirements import Requirement
 from bayescal.machines.readings import Channel, Coordinate, Given, Legs, ReadingModel
+from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array
 from bayescal.numerics.units import Units
 from bayescal.pose_selection import (
@@ -81,7 +83,8 @@ def read_next_pose(config: NextPoseConfig, folder: Path) -> NextPoseInputs:
     if config.goal == "variants" and len(found) < 2:
         raise InputError(f"{path}: expected --require NAME=VALUE, [requirements], or two variants")
     first = next(iter(found.values()))
-    if touching := first.posterior.likelihood.model.contacts:
+    touching = first.posterior.likelihood.model.contacts
+    if touching and (config.goal == "variants" or first.posterior.likelihood.model.legs is not None):
         raise InputError(f"{path}: found {', '.join(touching)} to touch, expected instruments that read at any pose")
     there = first.posterior.likelihood.data.n_poses
     n = there if config.n_first_poses is None else config.n_first_poses
@@ -106,6 +109,8 @@ def read_next_pose(config: NextPoseConfig, folder: Path) -> NextPoseInputs:
         workspace = Poses(pose, typical_given(first.posterior.likelihood.data.given, len(pose)))
         rng = np.random.default_rng([config.seed, CANDIDATES])
         candidates = Poses(*_list_candidates(config.candidates, folder, first, rng))
+        if touching:
+            candidates = _lead_to_contact(candidates, first, rng)
     else:
         workspace, candidates = _place_legs(config, folder, first, legs)
     model = first.posterior.likelihood.model
@@ -277,6 +282,16 @@ def _list_candidates(
     return pose, typical_given(likelihood.data.given, len(pose))
 
 
+def _lead_to_contact(candidates: Poses, measured: MeasuredReadings, rng: np.random.Generator) -> Poses:
+    """Return candidates at which instruments touch, one in each in turn."""
+    posterior = measured.posterior
+    model, n = posterior.likelihood.model, len(candidates.values)
+    workspace = Workspace(measured.low, measured.high, measured.half)
+    theta, nothing = posterior.theta(posterior.begin[None])[0], np.zeros((n, len(model.channels)))
+    pose, _ = lead_to_contact(model, workspace, theta, candidates.given, candidates.values, nothing, rng)
+    return replace(candidates, values=pose, touching=tuple(model.contacts[k % len(model.contacts)] for k in range(n)))
+
+
 @dataclass(frozen=True)
 class PoseColumn:
     """A column of the poses to come, as the page shows it."""
@@ -295,9 +310,21 @@ class Poses:
     values: Array  # (C, q) or (C, N), mm and rad
     given: Given
     commanded: bool = False
+    touching: tuple[str, ...] = ()  # the instrument that touches at each; none where all channels are read
+
+    def split(self, model: ReadingModel) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield places of poses at which the same channels are read, and these as a mask (K,)."""
+        if not self.touching:
+            yield np.arange(len(self.values)), np.ones(len(model.channels), dtype=bool)
+        for k, name in enumerate(model.contacts if self.touching else ()):
+            yield np.flatnonzero(np.array(self.touching) == name), share_contacts(model, k + 1)[k]
 
     def place(self, model: ReadingModel, theta: Array) -> Array:
         """Return coordinates (C, q) of a machine (D,); NaN where it has no such pose."""
+        if self.touching:
+            read = share_contacts(model, len(self.values))
+            pose, found = touch(model, theta, self.values, read, np.zeros(read.shape), self.given)
+            return np.where(found[:, None], pose, np.nan)
         return model.locate(theta, self.values, self.given)[0] if self.commanded else self.values
 
 

@@ -208,12 +208,14 @@ def _show_poses(results: Results) -> Table:
     columns = [
         Column("Order"),
         Column("Candidate"),
+        *([Column("Touches", kind="text")] if poses[0].touching else []),
         *(Column(one["heading"], one["unit"], one["group"]) for one in shown),
     ]
     rows = [
         [
             str(row.order),
             str(row.candidate),
+            *([row.touching] if row.touching else []),
             *(format_fixed(row.others[one["column"]], one["decimals"]) for one in shown),
         ]
         for row in poses

@@ -18,6 +18,7 @@ class NextPoseRow(TableRow, table="next_poses"):
 
     order: int = column("place in the order of measurement")
     candidate: int = column("number of the candidate")
+    touching: str | None = column("instrument that is touched there", default=None)
     others: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -83,8 +83,8 @@ def write_packed(packed: np.ndarray, path: Path) -> None:
 def split_parameters(names: Sequence[str], values: Array, units: Sequence[str]) -> xr.Dataset:
     """Return values (E, S, n) of parameters as variables by symbol: ``symbol[k]`` are entries of one variable.
 
-    Their dimension is ``leg`` for all with the entries of the first, and has a name of its own otherwise. Entries are
-    numbers, unless some deviate alike as in ``R[1,2,3]``.
+    Their dimension is ``leg`` for all with the entries of the first that are numbered, and has a name of its own
+    otherwise. Entries are numbers, unless some deviate alike as in ``R[1,2,3]``, or axes of a vector as in ``tool[x]``.
     """
     places: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -97,7 +97,7 @@ def split_parameters(names: Sequence[str], values: Array, units: Sequence[str]) 
         if texts == [""]:
             variables[symbol] = ((), values[..., own[0]], units[own[0]], "")
             continue
-        first = first or texts
+        first = first or ([] if texts[0].isalpha() else texts)
         dimension = "leg" if texts == first else f"{symbol}_entry"
         coords[dimension] = [int(text) for text in texts] if all(text.isdigit() for text in texts) else texts
         variables[symbol] = ((dimension,), values[..., own], units[own[0]], "")

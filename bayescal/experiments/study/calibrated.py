@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ from bayescal.experiments.shared.posterior_files import read_draws, read_functio
 from bayescal.experiments.shared.readings.found_frames import FoundFrames, list_unstated, settle_unstated
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.instruments import leave_instruments, read_instruments, read_model
+from bayescal.experiments.shared.readings.measurement import expect_trackers
 from bayescal.experiments.shared.readings.noise import group_channels, noise_of_channels
 from bayescal.experiments.shared.readings.priors import choose_priors
 from bayescal.experiments.shared.readings.workspace import build_workspace
@@ -42,7 +44,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.rows import CommandErrorRow
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.read import list_machine_sources
-from bayescal.machines.readings import Legs, ReadingModel, place
+from bayescal.machines.readings import Instrument, Legs, ReadingModel, place
 from bayescal.numerics.geometry import Array
 
 COMMANDS = "commands.csv"
@@ -189,8 +191,9 @@ def calibrate_machine(
         model = read_model(config, chosen, path, folder)
         if (kept / MATRIX_COVARIANCE).is_file():
             covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
-    if with_instruments and config.instruments:
-        config, chosen, model = _keep_instruments(results, config, chosen, model, folder)
+    kept_config, trackers = expect_trackers(config, model) if with_instruments else (config, {})
+    if with_instruments and (config.instruments or trackers):
+        config, chosen, model = _keep_instruments(results, kept_config, chosen, model, folder, trackers)
     else:
         config, chosen = leave_instruments(config, chosen, model)
     fit = results.summary["variants"][chosen.name]
@@ -233,14 +236,19 @@ def calibrate_machine(
 
 
 def _keep_instruments(
-    results: Results, config: StudyConfig, variant: VariantConfig, model: ReadingModel, folder: Path
+    results: Results,
+    config: StudyConfig,
+    variant: VariantConfig,
+    model: ReadingModel,
+    folder: Path,
+    trackers: Mapping[str, Instrument],
 ) -> tuple[StudyConfig, VariantConfig, ReadingModel]:
     """Return config, variant and machine with the instruments beside it, all that was found from the data free."""
     for section in config.instruments.values():
         if section.kind not in list_references("INSTRUMENTS"):
             check_same(folder, list_sources("INSTRUMENTS", section.kind, folder), results.hashes)
     instruments = read_instruments(config.instruments, folder)
-    placed = place(model, {name: settle_unstated(one) for name, one in instruments.items()})
+    placed = place(model, {**trackers, **{name: settle_unstated(one) for name, one in instruments.items()}})
     config = FoundFrames(instruments, list_unstated(instruments)).free(config)
     return config, next(one for one in config.variants if one.name == variant.name), placed
 

@@ -22,8 +22,7 @@ MIN_REACHED_FRACTION = 0.5  # share of the poses at which the machine as drawn h
 def doubt_copies(inputs: ReadingInputs) -> list[str]:
     """Return in lines which columns of the machine's own channels repeat others."""
     first = max(inputs.variants.values(), key=lambda one: len(one.model.channels))
-    columns = {one.name: f"{one.stem}_{inputs.units.get(one.name, one.unit)}" for one in first.model.channels}
-    return doubt_columns(first.data, first.model, columns)
+    return doubt_columns(first.data, first.model, inputs.columns)
 
 
 def doubt_zero(inputs: ReadingInputs) -> list[str]:

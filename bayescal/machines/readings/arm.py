@@ -177,8 +177,8 @@ class Arm(ReadingMachine):
         self.parameters = [
             *(ParameterBlock(symbol, nothing) for symbol in PLACES),
             *(ParameterBlock(symbol, nothing, "rad") for symbol in TURNS),
-            ParameterBlock("tool", (0.0,) * 3),
-            ParameterBlock("tool_r", (0.0,) * 3, "rad"),
+            ParameterBlock("tool", (0.0,) * 3, axes="xyz"),
+            ParameterBlock("tool_r", (0.0,) * 3, "rad", axes="xyz"),
             ParameterBlock("gain", nothing, "1"),
             *(ParameterBlock(symbol, nothing, "rad") for symbol in HARMONICS),
             *([ParameterBlock("k", nothing, "1e-6 rad/(N m)")] if self.has_mass else []),

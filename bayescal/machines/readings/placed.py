@@ -277,8 +277,8 @@ class DistanceInstrument(Instrument):
         """Lay out both points and the zero."""
         super().__init__(config)
         zero = ParameterBlock("zero", (_state(config.zero_mm, UNSTATED[:1])[0],), per_leg=False)
-        anchor = ParameterBlock("anchor", _state(config.anchor_mm, UNSTATED))
-        self.parameters = [anchor, *list_points("target", config.target_mm), zero]
+        anchor = list_points("anchor", config.anchor_mm or "found")
+        self.parameters = [*anchor, *list_points("target", config.target_mm), zero]
         self.channels = [Channel("", "mm")]
 
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -309,14 +309,15 @@ def _state(value: float | list[float] | Literal["found"] | None, unstated: tuple
 
 def list_points(symbol: str, value: list[float] | Literal["found"] | None) -> list[ParameterBlock]:
     """Return the block of a point (3,), NaN where a study finds it; none where nothing is said."""
-    return [] if value is None else [ParameterBlock(symbol, _state(value, UNSTATED))]
+    return [] if value is None else [ParameterBlock(symbol, _state(value, UNSTATED), axes="xyz")]
 
 
 def _frame(
     symbol: str, position: list[float] | Literal["found"] | None, degrees: list[float] | Literal["found"] | None
 ) -> list[ParameterBlock]:
     vector = tuple(float(one) for one in np.radians(_state(degrees, UNSTATED)))
-    return [ParameterBlock(symbol, _state(position, UNSTATED)), ParameterBlock(f"{symbol}_r", vector, "rad")]
+    turned = ParameterBlock(f"{symbol}_r", vector, "rad", axes="xyz")
+    return [*list_points(symbol, position or "found"), turned]
 
 
 def _list_frame(symbol: str, position: Array, axes: Array) -> dict[str, Array]:

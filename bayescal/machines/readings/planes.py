@@ -70,8 +70,9 @@ class PlaneInstrument(Instrument):
         self.across = np.stack([first, np.cross(self.normal, first)])
         tilt = UNSTATED[:2] if config.tilt_deg is None else tuple(np.radians(config.tilt_deg).tolist())
         offset = UNSTATED[:1] if config.offset_mm is None else (config.offset_mm,)
+        axes = "".join("xyz"[np.abs(one).argmax()] for one in self.across)  # roughly, of an oblique plane
         self.parameters = [
-            ParameterBlock("tilt", tilt, "rad"),
+            ParameterBlock("tilt", tilt, "rad", axes=axes),
             ParameterBlock("offset", offset, per_leg=False),
             *list_points("target", config.target_mm),
         ]

@@ -17,10 +17,9 @@ from typing import Final, Literal
 import numpy as np
 
 from bayescal.config.sections import Section, Vector
-from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import UNSTATED, Instrument, find_target, list_points
+from bayescal.machines.readings.placed import Instrument, find_target, list_points
 from bayescal.numerics.geometry import Array
 
 AXES: Final = ("x", "y", "z")
@@ -46,8 +45,7 @@ class SocketInstrument(Instrument):
     def __init__(self, config: SocketConfig) -> None:
         """Lay out the place and the ball on the tool."""
         super().__init__(config)
-        place = ParameterBlock("place", UNSTATED if config.place_mm is None else tuple(config.place_mm))
-        self.parameters = [place, *list_points("target", config.target_mm)]
+        self.parameters = [*list_points("place", config.place_mm or "found"), *list_points("target", config.target_mm)]
         self.channels = [Channel(f"[{axis}]", "mm") for axis in AXES]
 
     def see(self, parameters: Parameters, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -17,10 +18,12 @@ from bayescal.experiments.audit.proposal import propose
 from bayescal.experiments.audit.schema import PlannedPosesConfig, ScenarioConfig
 from bayescal.experiments.runner.load import load, load_experiment
 from bayescal.experiments.runner.parallel import Run
+from bayescal.experiments.shared.calibrating import load_calibrated
 from bayescal.experiments.shared.readings.inputs import read_inputs
 from bayescal.experiments.simulation.compute import read_model
 from bayescal.identifiability.reading_rows import see
 from bayescal.inference.mode import find_modes
+from bayescal.machines.readings.newton import touch
 
 ARM, DELTA = studies.EXPERIMENTS / "ur10" / "machine.toml", studies.EXPERIMENTS.parent / "examples" / "own_machine"
 COMMON = """name = "{kind}_of_it"
@@ -285,21 +288,56 @@ def test_poses_are_not_chosen_where_instruments_touch(planned, refuse):
     refuse(said, planned.parent / "out", "run", planned, "--quiet")
 
 
-def test_what_to_measure_next_is_not_asked_of_contacts(tmp_path, refuse):
-    path = write(tmp_path, "bed of a delta")
-    said = "found bed to touch, expected instruments that read at any pose"
-    refuse(said, tmp_path / "out", "next-pose", path, "--require", "x=0.1")
+@pytest.mark.runs
+def test_what_to_measure_next_is_where_tools_touch(tmp_path, call):
+    path, out = write(tmp_path, "bed of a delta"), tmp_path / "out"
+    code, _, err = call("next-pose", path, "--out", out, "--require", "x=0.1", "--trust-code", "--quiet")
+    assert code == 0, err
+    table = pd.read_csv(out / "next_poses.csv")
+    assert (table["touching"] == "bed").all()
+    variant = read_inputs(load(path)[1], tmp_path).variants["all"]
+    posterior = variant.posterior().with_pose_guesses()
+    theta = posterior.theta(find_modes(posterior)[0].y[None])[0]
+    height = variant.model.read(theta, table[["x_mm", "y_mm", "z_mm"]].to_numpy())[:, variant.model.names.index("bed")]
+    np.testing.assert_allclose(height, height.mean(), atol=1e-3)  # mm, of the mode's machine; theirs is the mean's
+    assert abs(height.mean()) < 0.03
+    assert "bed is touched" in (out / "report.html").read_text()
 
 
 @pytest.mark.runs
-def test_a_calibration_by_touch_is_verified_where_tools_touch(tmp_path, call):
+def test_a_calibration_by_touch_is_verified_where_tools_touch(tmp_path, call, rng):
     path = write(tmp_path, "bed of a delta")
     out = tmp_path / "out"
     code, _, err = call("run", path, "--out", out, "--workers", 1, "--quiet", "--trust-code")
     assert code == 0, err
-    code, _, err = call("verify", out, "--trust-code")
-    assert code == 2
-    assert "found bed to touch, expected --candidates COMMANDS.csv that touch, or --sensors of others" in err
+    plan, options = tmp_path / "plan.csv", ("--trust-code", "--parameters", "s0", "--shift-um", 500)
+    code, _, err = call("verify", out, *options, "--out", plan)
+    assert code == 0, err
+    machine = load_calibrated(out, with_instruments=True, trust=True)
+    model, table = machine.model, pd.read_csv(plan, comment="#")
+    commands, bed = table.filter(regex="^s_").to_numpy(), model.instrument_places["bed"]
+    assert (table["instruments"] == "bed").all()
+    pose, _ = model.locate(machine.theta, commands)
+    np.testing.assert_allclose(model.read(machine.theta, pose)[:, bed], 0.0, atol=1e-5)  # digits of the plan
+    for shift in (0.0, 1.0):
+        theta = machine.theta + shift * (np.array(model.layout.names) == "s0[2]")
+        pose, found = touch(
+            model,
+            theta,
+            pose,
+            np.ones((len(pose), len(model.channels)), dtype=bool),
+            np.zeros((len(pose), len(model.channels))),
+            {},
+        )
+        assert found.all()
+        read = model.read(theta, pose)[:, machine.commanded] + 0.005 * rng.standard_normal(commands.shape)
+        session = pd.DataFrame(read, columns=["s_1_mm", "s_2_mm", "s_3_mm"]).assign(bed_mm=0.0)
+        session.assign(pose=table["pose"]).to_csv(tmp_path / "session.csv", index=False)
+        code, judged, err = call("verify", out, *options, "--measured", tmp_path / "session.csv")
+        assert code == 0, err
+        assert judged.startswith("the calibration holds") == (not shift)
+        found_shift, sd = map(float, re.search(r"s0\[2\]: (.+?) ± (.+?) µm", judged).groups())
+        assert abs(found_shift - 1e3 * shift) < 5.0 * sd < 500.0  # few poses do not tell which one it is
     (tmp_path / "data" / "readings.csv").rename(tmp_path / "all.csv")
     pd.read_csv(tmp_path / "all.csv", comment="#").filter(regex="^(pose|s_)").to_csv(tmp_path / "c.csv", index=False)
     code, said, err = call("verify", out, "--trust-code", "--candidates", tmp_path / "c.csv", "--power", 0.5)

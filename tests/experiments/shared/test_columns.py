@@ -10,6 +10,7 @@ import pytest
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
+from bayescal.files.csv_tables import WrittenColumn
 from bayescal.machines.readings import Channel
 
 CHANNELS = (Channel("m[1]", "mm", external=True), Channel("m[2]", "mm", external=True), Channel("q", "mm"))
@@ -36,7 +37,7 @@ COPIES = {"same": copy, "in inches": lambda first: first / 25.4, "other zero": l
 @pytest.mark.parametrize("what", COPIES)
 def test_copies_are_named(what, rng):
     with pytest.raises(InputError, match="second_mm") as error:
-        check_columns(measure(COPIES[what], rng), MODEL, {"m[2]": "second_mm"})
+        check_columns(measure(COPIES[what], rng), MODEL, {"m[2]": WrittenColumn("second_mm")})
     assert "second_mm" in str(error.value)
     assert "m_1_mm" in str(error.value)
 

@@ -35,10 +35,14 @@ def test_joints_keep_to_their_limits_but_for_a_margin(tmp_path):
         assert line_of(read, tmp_path, channels, f"{JOINTS}A,0,0,0\nB,{row}\n").endswith(said)
     said = line_of(read, tmp_path, channels, JOINTS + "A,90,0,0\nB,-60,0,0\n")
     assert said.endswith("joint_1_rad: found 90, expected -1.2 to 2, all that joint[1] can read; degrees?")
-    named = "pose 'A', joint[1]: found 2.2 rad"
-    assert named in line_of(
-        check_travel, np.array([[2.2, 0.0, 0.0]]), np.tile([-np.inf, np.inf], (3, 1)), channels, "A"
-    )
+
+
+def test_positions_beyond_a_range_are_named_as_their_table_has_them(tmp_path):
+    channels, path = bc.load_machine(write_small(tmp_path)).channels, tmp_path / "c.csv"
+    path.write_text("pose,joint_1_deg,joint_2_m,joint_3_rad\nA,90,0,0\nB,126,0,0\n")
+    limits, commands = np.tile([-np.inf, np.inf], (3, 1)), np.array([[1.5, 0.0, 0.0], [np.radians(126.0), 0.0, 0.0]])
+    said = line_of(check_travel, commands, limits, channels, "AB", path)
+    assert said.startswith(f"{path}, line 3: pose 'B', joint_1_deg: found 126 deg")
 
 
 def test_rows_of_joints_have_limits_where_somebody_states_them(tmp_path):

@@ -113,7 +113,7 @@ CONTRADICTIONS: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
     "displacements": (
         ACTUATORS,
         lambda rows: [[*row[:2], *(f"{float(x) - HOME:.6f}" for x in row[2:])] for row in rows],
-        "pose 'C01', leg 2: found -1.3 mm",
+        "pose 'C01', rho_2_mm: found -1.3 mm",
     ),
     "no motion": (
         ACTUATORS,

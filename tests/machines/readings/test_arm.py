@@ -258,7 +258,7 @@ def test_what_a_tracker_determines_of_a_scara(rng):
         rows = np.concatenate([moved[..., [names.index(one) for one in free]], frame], axis=-1).reshape(300, -1)
         return np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=0).clip(1e-12), tol=1e-6)
 
-    free = [*LINKS_AND_TILTS, "tool[1]", "tool[2]"]
+    free = [*LINKS_AND_TILTS, "tool[x]", "tool[y]"]
     assert count(free) == len(free) + 6 == 17
     drawn = ("x", "y", "z", "rx", "ry", "offset", "tool", "tool_r")
     assert count([one for one in names if one.partition("[")[0] in drawn]) == 17

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
+from bayescal.files.csv_tables import WrittenColumn
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import format_significant
@@ -19,7 +20,7 @@ MIN_DISTINCT: Final = 4  # values: columns of fewer are plans, not measurements
 MAX_NAMED: Final = 3
 
 
-def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> None:
+def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, WrittenColumn]) -> None:
     """Raise InputError where a measured column is another one, or a + b times another one, in all rows.
 
     Two sensors have noise of their own, so that what one reads scatters about any line through the other by the noise
@@ -31,8 +32,8 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
         Readings (P, K), their noise and which are commands.
     model : ReadingModel
         The machine with these K channels.
-    columns : mapping of str to str
-        Names of columns by names of channels, where these are known.
+    columns : mapping of str to WrittenColumn
+        Columns by names of channels, where these are known.
     """
     measured = np.isfinite(data.values) & (data.sd > 0.0) & ~_may_be_commands(model)
     if said := _list_copies(data, model, columns, measured & ~_is_commanded(data)):
@@ -40,7 +41,7 @@ def check_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
         raise InputError(f"data: {'; '.join(said[:MAX_NAMED])}{more}, expected readings of each sensor")
 
 
-def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> list[str]:
+def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str, WrittenColumn]) -> list[str]:
     """Return in lines which columns of the machine's own channels repeat others, and which of any are of one value.
 
     Nobody has said that they hold commands, which may be equal; see `check_columns`.
@@ -51,29 +52,31 @@ def doubt_columns(data: Measurements, model: ReadingModel, columns: Mapping[str,
     for k, one in enumerate(model.channels):
         values = data.values[read[:, k], k]
         if len(values) >= MIN_ROWS and not np.ptp(values) and _has_digits(values, data.sd[read[:, k], k], one.unit):
-            text = f"column {_name_column(one, columns)} is constant without any noise: check its sensor"
+            text = f"column {_find_column(one, columns).name} is constant without any noise: check its sensor"
             found.append(f"{text}{', unless it was commanded so' if own[k] else ''}")
     return found[:MAX_NAMED]
 
 
-def _list_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str], some: np.ndarray) -> list[str]:
+def _list_copies(
+    data: Measurements, model: ReadingModel, columns: Mapping[str, WrittenColumn], some: np.ndarray
+) -> list[str]:
     """Return in words which columns repeat another one, by some of the readings, (P, K)."""
     channels, values = model.channels, np.where(some, data.values, np.nan)
-    names = [_name_column(one, columns) for one in channels]
+    written = [_find_column(one, columns) for one in channels]
     fine = [_is_fine(values[:, k], data.sd[:, k], one.unit) for k, one in enumerate(channels)]
     said, copies = list[str](), set[int]()
     for k in np.flatnonzero(fine).tolist():
-        same = [j for j in range(k + 1, len(names)) if fine[j] and channels[j].unit == channels[k].unit]
+        same = [j for j in range(k + 1, len(channels)) if fine[j] and channels[j].unit == channels[k].unit]
         for j in same if k not in copies else ():
             line = _fit_line(data, values, k, j)
             if line is not None and j not in copies:
                 copies.add(j)
-                said.append(_describe(names[k], names[j], *line))
+                said.append(_describe(written[k], written[j], *line))
     return said
 
 
-def _name_column(channel: Channel, columns: Mapping[str, str]) -> str:
-    return columns.get(channel.name, f"{channel.stem}_{channel.unit}")
+def _find_column(channel: Channel, columns: Mapping[str, WrittenColumn]) -> WrittenColumn:
+    return columns.get(channel.name, WrittenColumn(f"{channel.stem}_{channel.unit}"))
 
 
 def _may_be_commands(model: ReadingModel) -> np.ndarray:
@@ -118,8 +121,9 @@ def _fit_line(data: Measurements, values: Array, k: int, j: int) -> tuple[float,
     return (slope, float(second.mean() - slope * first.mean())) if alike else None
 
 
-def _describe(name: str, copy: str, slope: float, offset: float) -> str:
+def _describe(column: WrittenColumn, copy: WrittenColumn, slope: float, offset: float) -> str:
+    slope, offset = slope * column.size / copy.size, offset / copy.size
     if (slope, offset) == (1.0, 0.0):
-        return f"columns {copy} and {name} are equal"
-    line = f"{format_significant(offset, 4)} + {format_significant(slope, 6)} times {name}"
-    return f"column {copy} is {line}, without noise"
+        return f"columns {copy.name} and {column.name} are equal"
+    line = f"{format_significant(offset, 4)} + {format_significant(slope, 6)} times {column.name}"
+    return f"column {copy.name} is {line}, without noise"

@@ -45,6 +45,7 @@ from bayescal.experiments.shared.search_memory import check_readings
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
 from bayescal.experiments.shared.unreachable_rows import check_reach
+from bayescal.files.csv_tables import WrittenColumn
 from bayescal.machines.readings import Instrument, ReadingModel, place
 from bayescal.numerics.geometry import Array
 
@@ -139,6 +140,7 @@ class ReadingInputs:
     # which terms of the model error there cannot be, by variant, in a line; empty where there are all
     missing: str = ""
     units: Mapping[str, str] = field(default_factory=dict)  # of columns, by channel, where they are not the channel's
+    columns: Mapping[str, WrittenColumn] = field(default_factory=dict)  # by channel, where readings come from a table
     found: str = ""  # values of instruments that were found from the data, in a line
     measured: Sequence[Measured] = ()  # what tables of instruments tell
     pads: SeenPads | None = None  # targets on a mechanism
@@ -211,6 +213,7 @@ def read_inputs(config: StudyConfig, folder: Path, only: Collection[str] | None 
         unused=unused,
         missing="; ".join(missing),
         units=units,
+        columns=readings.list_columns(),
         found=found.told,
         measured=measured,
         pads=pads,
@@ -264,7 +267,7 @@ def _build(
     _check_moves(data)
     _check_commanded(readings.commanded[rows], whole, model)
     _check_noise(data, model)
-    columns = {channel: column for channel, column, _ in readings.columns}
+    columns = readings.list_columns()
     check_columns(data, model, columns)
     read_requirements(config.requirements, model, config.units)
     free = [one for name in priors for one in common.get(name, (name,))]
@@ -314,7 +317,7 @@ def _build(
 
 
 @contextmanager
-def _say_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, str]) -> Iterator[None]:
+def _say_copies(data: Measurements, model: ReadingModel, columns: Mapping[str, WrittenColumn]) -> Iterator[None]:
     """Say first, in what is wrong with rows that no machine reaches, which columns repeat others."""
     try:
         yield

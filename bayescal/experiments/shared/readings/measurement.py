@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from bayescal.data.actuators import (
     check_range,
     check_travel,
     choose_columns,
+    find_position,
     name_actuators,
     read_actuators,
 )
@@ -141,6 +143,24 @@ def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
     """Return a config that states the noise and the frames, all of them free, of what tables measured."""
     parameters = {name: one for it in measured for name, one in it.parameters.items()}
     noise = {name: one for it in measured for name, one in it.state_noise().items() if name not in config.sensors}
+    return _state(config, parameters, noise)
+
+
+def expect_trackers(config: StudyConfig, machine: ReadingModel) -> tuple[StudyConfig, dict[str, Instrument]]:
+    """Return a config that states the frames of instruments of poses, and these: of a machine without such channels.
+
+    No table is read: their noise stays in the tables.
+    """
+    tables = [one for one in config.data if isinstance(one, PoseDataConfig) and not machine.reads_pose]
+    found: dict[str, Instrument] = {one.name: Tracker(("",), [(0, None)], machine.tells_rotation) for one in tables}
+    known = {name: prior for one in tables for name, prior in _know_frames(one, 1, config.units).items()}
+    return _state(config, known, {}), found
+
+
+def _state(
+    config: StudyConfig, parameters: Mapping[str, PriorConfig], noise: Mapping[str, ChannelConfig]
+) -> StudyConfig:
+    """Return a config that states more parameters, free in all variants, and more noise."""
     variants = [
         one if one.free is None else one.model_copy(update={"free": [*one.free, *parameters]})
         for one in config.variants
@@ -218,8 +238,9 @@ class InstrumentReader:
         found = self._read_targets(data) if data.kind == "targets" else self._read_tracked(data)
         if found.commands:
             poses = found.poses
-            with name_faults(self.folder / (data.actuators or data.file)):
-                check_travel(poses.actuators, self.machine.command_range, found.commands, poses.names)
+            path = self.folder / (data.actuators or data.file)
+            check_travel(poses.actuators, self.machine.command_range, found.commands, poses.names, path)
+            with name_faults(path):
                 check_moves(poses.actuators[~found.verification])
         return found
 
@@ -397,5 +418,5 @@ def _check_actuators(path: Path, n_legs: int, machine: Mechanism | None) -> None
     """Raise InputError for a table of actuator positions that is none, or that its machine does not reach."""
     names, _, actuators = read_actuators(path, name_actuators(n_legs))
     if machine is not None:
-        with name_faults(path):
-            check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names)
+        find = partial(find_position, path, [f"rho_{leg}" for leg in range(1, n_legs + 1)], "mm")
+        check_range(actuators, machine.initial_actuator_positions, machine.actuator_range, names, find)

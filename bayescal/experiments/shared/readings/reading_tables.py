@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,13 +24,21 @@ from bayescal.data.reader import TableReader, read_with
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.data_schema import OwnDataConfig, ReadingsTable
 from bayescal.experiments.shared.rows import USES
-from bayescal.files.csv_tables import CsvTable, read_table
+from bayescal.files.csv_tables import CsvTable, WrittenColumn, read_table
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE, units_like
 
 COVARIANCE_UNITS = {"mm": MICROMETRE, "rad": 1e-6}
 """Roots of the units of covariances, in the channels' units."""
+
+
+class ChannelColumn(NamedTuple):
+    """Where the readings of a channel come from: which column of which file."""
+
+    channel: str
+    column: WrittenColumn
+    file: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +53,7 @@ class PoseReadings:
     correlation: Array | None  # (P, K, K)
     commanded: np.ndarray  # (P, K): which readings are positions that the machine was commanded to
     given: dict[str, Array] = field(default_factory=dict)  # (P,): NaN where it is not known
-    columns: list[tuple[str, str, str]] = field(default_factory=list)  # where the channels' readings come from
+    columns: list[ChannelColumn] = field(default_factory=list)
 
     def spread(self, at: Sequence[int], model: ReadingModel) -> PoseReadings:
         """Return the same as readings of some of a machine's channels, at these places among them."""
@@ -58,19 +67,26 @@ class PoseReadings:
             found.correlation[np.ix_(range(n), at, at)] = self.correlation
         return found
 
+    def list_columns(self) -> dict[str, WrittenColumn]:
+        """Return the columns by channel, as files have them."""
+        return {one.channel: one.column for one in self.columns}
+
     def list_units(self, channels: Sequence[Channel]) -> dict[str, str]:
         """Return the units that columns have by channel, of those in another one than the channel's own."""
-        named = {(one.name, f"{one.stem}_{unit}"): unit for one in channels for unit in units_like(one.unit)}
-        own = {one.name: one.unit for one in channels}
-        found = {name: named[name, column] for name, column, _ in self.columns if (name, column) in named}
-        return {name: unit for name, unit in found.items() if unit != own[name]}
+        columns = self.list_columns()
+        return {
+            one.name: unit
+            for one in channels
+            for unit, size in units_like(one.unit).items()
+            if one.name in columns and size == columns[one.name].size != 1.0
+        }
 
     def tell_unused(self, taken: Collection[str]) -> str:
         """Return in a line which columns are of other channels than those taken in; nothing where there are none."""
         files: dict[str, list[str]] = {}
         for channel, column, file in self.columns:
             if channel not in taken:
-                files.setdefault(file, []).append(column)
+                files.setdefault(file, []).append(column.name)
         listed = "; ".join(f"{', '.join(columns)} of {file}" for file, columns in files.items())
         return f"Not used: {listed}; expected them in [sensors], or in data.ignore" if files else ""
 
@@ -217,7 +233,8 @@ def _turn(table: CsvTable, known: Mapping[str, _Column], channels: Sequence[Chan
         for one in table.columns:
             if one in known and known[one].role == "values" and set(known[one].places) & {k, k + 1, k + 2}:
                 other = next(name for name in table.columns if name in others)
-                raise InputError(f"{table.path}: found {one!r} and {other!r}, expected one rotation form")
+                first, second = table.name(one), table.name(other)
+                raise InputError(f"{table.path}: found {first!r} and {second!r}, expected one rotation form")
         vectors = read_rotation_vectors(table, prefix)
         kept = [place for place, name in enumerate(table.columns) if name not in others]
         rows = tuple(
@@ -272,7 +289,8 @@ def _check(
             )
         column = known[name]
         if column.places and (other := taken.setdefault((column.role, column.places), name)) != name:
-            raise InputError(f"{table.path}: found columns {other!r} and {name!r}, expected one of them")
+            first, second = table.name(other), table.name(name)
+            raise InputError(f"{table.path}: found columns {first!r} and {second!r}, expected one of them")
     read = {channels[c.places[0]].name for n in table.columns if (c := known.get(n)) and c.role == "values"}
     for key in ("channels", "commanded_channels"):
         for name in getattr(section, key):
@@ -307,17 +325,18 @@ def _fill(
     if "use" in table.columns:
         for row, use in enumerate(table.text("use")):
             if use not in USES:
-                raise InputError(f"{table.where(row)}: use: found {use!r}, expected {' or '.join(USES)}")
+                raise InputError(
+                    f"{table.where(row)}: {table.name('use')}: found {use!r}, expected {' or '.join(USES)}"
+                )
             found.verification[rows[row]] |= use == "verification"
-    found.columns.extend(
-        (channels[known[name].places[0]].name, name, section.file)
-        for name in table.columns
-        if name in known and known[name].role == "values" and name not in ignored
-    )
+    for name in table.columns:
+        if name in known and known[name].role == "values" and name not in ignored:
+            channel, size = channels[known[name].places[0]], known[name].factor
+            found.columns.append(ChannelColumn(channel.name, WrittenColumn(table.name(name), size), section.file))
     for name in sorted(table.columns, key=lambda name: name in known and known[name].role == "corr"):
         if name not in known or name in ignored:
             continue
-        column, values = known[name], table.numbers((name,), gaps=True)[:, 0]
+        column, values, own = known[name], table.numbers((name,), gaps=True)[:, 0], table.name(name)
         if column.role == "given":
             found.given[name][rows] = values
         elif column.role == "corr":
@@ -326,11 +345,11 @@ def _fill(
             into, k = (found.values if column.role == "values" else found.sd), column.places[0]
             for at in np.flatnonzero(np.isfinite(values) & np.isfinite(into[rows, k])):
                 raise InputError(
-                    f"{table.where(int(at))}: {name}: found a second reading of {channels[k].name} at "
+                    f"{table.where(int(at))}: {own}: found a second reading of {channels[k].name} at "
                     f"pose {found.poses[rows[at]]!r}, expected one"
                 )
             for at in np.flatnonzero((values < 0.0) & (column.role == "sd"))[:1]:
-                raise InputError(f"{table.where(int(at))}: {name}: found {values[at]:g}, expected no negative noise")
+                raise InputError(f"{table.where(int(at))}: {own}: found {values[at]:g}, expected no negative noise")
             if column.role == "values":
                 check_ends(table, name, channels[k], values, column.factor)
             values = np.sqrt(values) if column.covariance else values
@@ -352,12 +371,16 @@ def _fill_correlation(
     if column.covariance:
         sd = found.sd[rows][:, [j, k]]
         for row in np.flatnonzero(np.isfinite(values) & ~(sd > 0.0).all(axis=1))[:1]:
-            raise InputError(f"{table.where(int(row))}: {name}: found no variance, expected cov_ columns of both")
+            raise InputError(
+                f"{table.where(int(row))}: {table.name(name)}: found no variance, expected cov_ columns of both"
+            )
         values = column.factor * values / sd.prod(axis=1)
     for row, value in enumerate(values):
         if np.isfinite(value):
             if abs(value) >= 1.0:
-                raise InputError(f"{table.where(row)}: {name}: found {value:g}, expected a correlation within ±1")
+                raise InputError(
+                    f"{table.where(row)}: {table.name(name)}: found {value:g}, expected a correlation within ±1"
+                )
             found.correlation[rows[row], j, k] = found.correlation[rows[row], k, j] = value
 
 
