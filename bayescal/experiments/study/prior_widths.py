@@ -48,6 +48,8 @@ NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
 """Of a width whose evidence could not be computed."""
 ERROR, ROUGH_ERROR = 0.03, 0.3
 """Standard error in nats that is enough; the latter for a variant that is out of the question."""
+ROUGHLY_ACCEPTABLE = 0.1
+"""Efficiency of a proposal from which on it is not sharpened for such a variant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +157,13 @@ def _weigh(
     """
     found = list[tuple[Exploration, ImportanceEvidence]]()
     try:
-        for enough in (WORTH_ANOTHER,) if task.is_hard or task.is_rough else (ACCEPTABLE, GOOD_ENOUGH):
+        is_once = task.is_hard or task.is_rough
+        for enough in (
+            (WORTH_ANOTHER if task.is_hard else ROUGHLY_ACCEPTABLE,) if is_once else (ACCEPTABLE, GOOD_ENOUGH)
+        ):
             exploration = explore_near(posterior, starts, seeds[0], others, enough=enough, fine_enough=CORRECTABLE)
             found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
-            if not found[-1][1].is_doubtful or task.is_hard or task.is_rough:
+            if is_once or not found[-1][1].is_doubtful:
                 return found[-1]
             if exploration.efficiency < ACCEPTABLE:
                 break  # it was sharpened as far as that goes

@@ -100,6 +100,24 @@ def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency,
 
 
 @pytest.mark.parametrize(
+    ("behind", "factor", "error", "is_done"),
+    [(0.0, 0.5, 0.03, True), (0.0, 2.0, 0.03, False), (0.0, 0.5, 0.2, False), (90.0, 2.0, 0.2, True)],
+)
+def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, factor, error, is_done):
+    """Of wider priors other modes are looked for, unless the variant is out of the question; then a rough error will do."""
+    first, second = load(tmp_path).variants
+    moved = ImportanceEvidence(1.0, error, 0.5, 0.2, 500)
+    fits = {
+        name: SimpleNamespace(
+            modes=np.zeros((1, 2)), widths={factor: moved}, importance=ImportanceEvidence(own, 0.01, 0.5, 0.1, 1000)
+        )
+        for name, own in ((first, 7.0), (second, 7.0 - behind))
+    }
+    tasks = {task.variant: task for task in list_width_tasks(fits, [factor])}
+    assert tasks[second].is_done is is_done
+
+
+@pytest.mark.parametrize(
     ("behind", "is_hard", "explored"),
     [(0.0, False, ["near", "near", "again"]), (60.0, False, ["near"]), (0.0, True, ["near"])],
 )
