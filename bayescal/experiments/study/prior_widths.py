@@ -84,6 +84,12 @@ class WidthTask:
         """Whether the fit's own draws are enough, and no other mode need be looked for."""
         return self.moved is not None and (self.is_rough or self.factor < 1.0)
 
+    def list_efficiencies(self) -> tuple[float, ...]:
+        """Return the efficiencies from which on a proposal is not sharpened, of one try after the other."""
+        if self.is_hard:
+            return (WORTH_ANOTHER,)
+        return (ROUGHLY_ACCEPTABLE,) if self.is_rough else (ACCEPTABLE, GOOD_ENOUGH)
+
 
 def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
     """Return a task for every variant and every factor but one.
@@ -157,13 +163,10 @@ def _weigh(
     """
     found = list[tuple[Exploration, ImportanceEvidence]]()
     try:
-        is_once = task.is_hard or task.is_rough
-        for enough in (
-            (WORTH_ANOTHER if task.is_hard else ROUGHLY_ACCEPTABLE,) if is_once else (ACCEPTABLE, GOOD_ENOUGH)
-        ):
+        for enough in task.list_efficiencies():
             exploration = explore_near(posterior, starts, seeds[0], others, enough=enough, fine_enough=CORRECTABLE)
             found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
-            if is_once or not found[-1][1].is_doubtful:
+            if task.is_hard or task.is_rough or not found[-1][1].is_doubtful:
                 return found[-1]
             if exploration.efficiency < ACCEPTABLE:
                 break  # it was sharpened as far as that goes

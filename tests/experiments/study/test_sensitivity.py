@@ -104,7 +104,7 @@ def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency,
     [(0.0, 0.5, 0.03, True), (0.0, 2.0, 0.03, False), (0.0, 0.5, 0.2, False), (90.0, 2.0, 0.2, True)],
 )
 def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, factor, error, is_done):
-    """Of wider priors other modes are looked for, unless the variant is out of the question; then a rough error will do."""
+    """Wider priors may have other modes; of a variant out of the question nobody looks, and a rough error will do."""
     first, second = load(tmp_path).variants
     moved = ImportanceEvidence(1.0, error, 0.5, 0.2, 500)
     fits = {
