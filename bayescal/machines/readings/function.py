@@ -202,7 +202,7 @@ def _check_closed(model: FunctionModel, where: str, theta: Array, pose: Array, g
 
 
 def _differ(model: FunctionModel, where: str, here: Array, size: Array, given: Given) -> Array:
-    """Return derivatives (D + q, n, K) by each entry of (d, v) at points (n, D + q): differences of steps (n, D + q)."""
+    """Return derivatives (D + q, n, K) by each entry of (d, v) at points (n, D + q), by differences of such steps."""
     n, size = model.layout.size, size.T[..., None]
     step = size * np.eye(len(size))[:, None]
     above, below = (_read(model, where, at[..., :n], at[..., n:], given) for at in (here + step, here - step))
