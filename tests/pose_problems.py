@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import audit_problems
 import numpy as np
 import studies
@@ -10,7 +12,7 @@ import telescope_machines as machines
 from bayescal.density.priors import NormalPrior
 from bayescal.machines.read import load_mechanism
 from bayescal.machines.sensors import PoseSensor
-from bayescal.pose_selection import ActuatorBox, Design, SelectionProblem, WorkspaceBox, random_candidates
+from bayescal.pose_selection import ActuatorBox, Design, SelectionProblem, WorkspaceBox, random_candidates, select
 from bayescal.pose_selection.criteria import O1, O2, O3, O4, O5, AOptimality, DOptimality, IOptimality
 
 YU_HALF = np.concatenate([np.full(3, 100.0), np.radians(np.full(3, 10.0))])
@@ -68,3 +70,14 @@ def build_problem(
 def small_problem(name: str, n_candidates: int = 12, n: int = 5, seed: int = 0) -> SelectionProblem:
     """Return a problem small enough for all subsets to be judged: 18 parameters, for which 3 poses would do."""
     return build_problem(name, n_candidates, n, seed, yu_domain(("a_x", "b_y", "l")))
+
+
+def check_nothing_exceeds(name: str, *methods: object) -> None:
+    """Check that no method finds a better value than the best of all subsets of a small problem."""
+    problem = small_problem(name)
+    subsets = combinations(range(len(problem.candidates)), problem.n)
+    best = max(problem.value_of(problem.blocks[list(one)]) for one in subsets)
+    for method in methods:
+        selection = select(problem, method, np.random.default_rng(0))
+        assert selection.value == problem.value_of(problem.blocks[selection.index])
+        assert selection.value <= best + 1e-12 * abs(best)

@@ -30,6 +30,7 @@ def find_local_imports(path: Path) -> dict[str, Path]:
     One that cannot be read as Python imports nothing here, and fails when it is imported.
     """
     root = path.resolve().parent
+    elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
     found: dict[str, Path] = {}
     installed: dict[str, bool] = {}
     waiting = [(path.resolve(), "")]
@@ -38,7 +39,7 @@ def find_local_imports(path: Path) -> dict[str, Path]:
         for name in _list_names(_read(file), package):
             top = name.partition(".")[0]
             if top and top not in installed:
-                installed[top] = _is_installed(top, root)
+                installed[top] = _is_installed(top, elsewhere)
             for module, place in () if installed.get(top, True) else _locate(name, root):
                 if module not in found and place.is_relative_to(root) and place != path.resolve():
                     found[module] = place
@@ -83,11 +84,10 @@ def _locate(name: str, root: Path) -> Iterator[tuple[str, Path]]:
                 break
 
 
-def _is_installed(top: str, root: Path) -> bool:
-    """Whether Python finds a module before it looks beside the root."""
+def _is_installed(top: str, elsewhere: list[str]) -> bool:
+    """Whether Python finds a module in the standard library or elsewhere on its path."""
     if top in sys.stdlib_module_names or top in sys.builtin_module_names:
         return True
-    elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
     found = PathFinder.find_spec(top, elsewhere)
     return found is not None and found.origin is not None  # a mere folder of that name gives way to a module
 

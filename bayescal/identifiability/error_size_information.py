@@ -3,12 +3,13 @@
 A study does not know the sizes s of its errors: their posterior is what visible errors and priors say, and where a plan
 shows little it stays wide, so that intervals are wider than those of the true sizes. White rows y = X θ + Σ_t V_t u_t
 + ε with standard normal θ and u_t ~ N(0, s_t²) have, θ integrated out, with the true sizes s⁰ the covariance
-B + V D⁰ Vᵀ, B = 1 + X Xᵀ. The log-density of the rows under sizes s is then on average
+B + V D⁰ Vᵀ, B = 1 + X Xᵀ, D⁰ being the diagonal of s⁰² by column. Errors show in as many directions as
+M = Vᵀ B⁻¹ V = W Wᵀ has a rank; the log-density of the rows under sizes s is on average
 
-    L(s) = -½ log |1 + R M R| + ½ tr (1 + R M R)⁻¹ R (M + M D⁰ M) R + const,    M = Vᵀ B⁻¹ V,
+    L(s) = -½ log |C(s)| - ½ tr C(s)⁻¹ C(s⁰) + const,    C(s) = 1 + Wᵀ D W = 1 + Σ_t s_t² W_tᵀ W_t,
 
-R being the diagonal of s by column and D⁰ that of s⁰², and p(s) exp L(s) is what the posterior of the sizes is
-expected to be. Its mean stands for it: averaged over its draws geometry has about the covariance that it has there.
+and p(s) exp L(s) is what the posterior of the sizes is expected to be. Its mean stands for it: averaged over
+its draws geometry has about the covariance that it has there.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from bayescal.inference.scales import find_scales_mode, sample_scales
 from bayescal.numerics.geometry import Array
 
 DRAWS: Final = 150
+RANK_TOLERANCE: Final = 1e-12  # of the largest eigenvalue of M: what rounding leaves of the others
 
 
 def expect_sizes(
@@ -48,18 +50,22 @@ def expect_sizes(
     least = np.array([floors.get(name, 0.0) for name in names])
     seen = columns.T @ rows
     gram = columns.T @ columns - seen @ np.linalg.solve(np.eye(rows.shape[1]) + rows.T @ rows, seen.T)
-    square = gram + (gram * (np.array(list(true.values())) ** 2)[sorts]) @ gram
+    values, vectors = np.linalg.eigh(gram)
+    visible = values >= RANK_TOLERANCE * values.max(initial=0.0)
+    root = vectors[:, visible] * np.sqrt(values[visible])
+    parts = np.array([root[sorts == t].T @ root[sorts == t] for t in range(len(names))])
+    unit = np.eye(root.shape[1])
+    expected = unit + np.tensordot(np.array(list(true.values())) ** 2, parts, 1)
 
     def find_squares(zeta: Array) -> Array:
         return np.asarray(prior.value(zeta) ** 2 + least**2)
 
     def weigh(zeta: Array) -> float:
-        size = np.sqrt(find_squares(zeta))[sorts]
-        factor, _ = dpotrf(np.eye(len(size)) + size[:, None] * gram * size, lower=1)
+        factor, _ = dpotrf(unit + np.tensordot(find_squares(zeta), parts, 1), lower=1)
         inverse, _ = dpotri(factor, lower=1)
-        both = np.tril(inverse) * (size[:, None] * square * size)  # tr (1 + R M R)⁻¹ ..., from one half
-        explained = 2.0 * both.sum() - np.trace(both)
-        return float(-np.log(np.diag(factor)).sum() + 0.5 * explained - 0.5 * zeta @ zeta)
+        both = np.tril(inverse) * expected  # tr C⁻¹ C⁰, from one half
+        spread = 2.0 * both.sum() - np.trace(both)
+        return float(-np.log(np.diag(factor)).sum() - 0.5 * spread - 0.5 * zeta @ zeta)
 
     def log_density(zeta: Array) -> Array:
         return np.array([weigh(one) for one in zeta])

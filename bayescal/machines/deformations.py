@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -85,11 +86,19 @@ class Deformation(ABC):
     def basis(self, displacement: Array) -> DeformationBasis:
         """Return the deflection as a linear function of the parameters, for displacements (..., N) in mm."""
         n_legs = displacement.shape[-1]
-        layout = ParameterLayout(self.blocks(n_legs))
-        constant, coefficients = self._parts(displacement)
-        unit_constant, unit_coefficients = self._parts(np.eye(n_legs))
-        unit = DeformationBasis(np.eye(n_legs), unit_constant, unit_coefficients, np.zeros((n_legs, n_legs)))
-        return DeformationBasis(displacement, constant, coefficients, unit.deflection(layout, layout.nominal).T)
+        if n_legs not in self._gains:
+            self._gains[n_legs] = self._find_gain(n_legs)
+        return DeformationBasis(displacement, *self._parts(displacement), self._gains[n_legs])
+
+    @cached_property
+    def _gains(self) -> dict[int, Array]:
+        """`DeformationBasis.actuator_gain` by the number of legs: the same wherever the actuators stand."""
+        return {}
+
+    def _find_gain(self, n_legs: int) -> Array:
+        layout, unit = ParameterLayout(self.blocks(n_legs)), np.eye(n_legs)
+        moved = DeformationBasis(unit, *self._parts(unit), np.zeros((n_legs, n_legs)))
+        return moved.deflection(layout, layout.nominal).T
 
 
 class NoDeformation(Deformation):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from pydantic import create_model
 from bayescal.config.classes import ClassReference, choose, find_classes, find_files, name_failures
 from bayescal.config.load import check_section, find_line, read_toml
 from bayescal.config.registry import find_class, is_own, list_references, list_sources
+from bayescal.config.sections import Section
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import read_matrix
 from bayescal.machines.deformations import Deformation, NominalDeformation
@@ -243,8 +245,13 @@ def _check_file(found: type[ReadingMachine], content: dict[str, Any], path: Path
     """Return the checked content of the file of a machine of one function."""
     if issubclass(found.Config, MachineFileConfig):
         return check_section(found.Config, content, path, text)
-    schema = create_model("MachineFile", __base__=MachineFileConfig, machine=(found.Config, ...))
-    return check_section(schema, {"machine": {}, **content}, path, text)
+    return check_section(_schema_with(found.Config), {"machine": {}, **content}, path, text)
+
+
+@lru_cache(maxsize=64)
+def _schema_with(section: type[Section]) -> type[MachineFileConfig]:
+    """Return the schema of a machine's file with a section of its class's own."""
+    return create_model("MachineFile", __base__=MachineFileConfig, machine=(section, ...))
 
 
 def _find(kind: str, path: Path) -> type[ReadingMachine]:

@@ -66,10 +66,10 @@ def differentiate_pose(machine, theta, actuators):
     return machines.central_difference(pose, np.zeros(6), np.full(6, 1e-3))
 
 
-def differentiate_by_matrix(machine, theta, actuators):
-    """Return the poses' derivatives by the entries of K, row by row, shape (6 P, N * N)."""
+def differentiate_by_matrix(machine, theta, actuators, entries):
+    """Return the poses' derivatives by some entries (e,) of K, which stand row by row, shape (6 P, e)."""
     columns = []
-    for k in range(36):
+    for k in entries:
         change = 1e-4 * np.eye(36)[k].reshape(6, 6)
         ends = [
             Machine(machine.mechanism, machine.model, MatrixDeformation(machine.deformation.matrix + one))
@@ -86,10 +86,10 @@ def differentiate_legs(machine, theta, actuators):
     whole = differentiate_pose(machine, theta, actuators)
     if not machine.deformation.uses_matrix:
         return whole
-    by_entry = differentiate_by_matrix(machine, theta, actuators).reshape(-1, 6, 6, 6)
     travel, legs = actuators - machine.mechanism.initial_actuator_positions, np.arange(6)
     causes = (legs + 1) % 6  # any other leg's actuator; the diagonal of K is a parameter
-    by_deflection = by_entry[..., legs, causes] / travel[:, None, causes]
+    by_entry = differentiate_by_matrix(machine, theta, actuators, 6 * legs + causes).reshape(-1, 6, 6)
+    by_deflection = by_entry / travel[:, None, causes]
     return whole - by_deflection @ (machine.deformation.matrix * ~EYE)
 
 
@@ -149,7 +149,7 @@ def test_uncertain_deflections_are_those_of_another_matrix(model, dependent):
     legs = machines.let_err(0.01)
     zeta = legs.priors[0].standardise(TAU)
     found = evaluate(machine, theta, poses, ErrorModel((*legs.terms, *terms)), zeta)
-    by_entry = differentiate_by_matrix(machine, theta, poses.actuators)[:, REST]
+    by_entry = differentiate_by_matrix(machine, theta, poses.actuators, np.arange(36)[REST])
     error, alone = find_error(machine, theta, poses).ravel(), spread_out(reference_covariance(machine, theta, poses))
     # the error in the prediction is that of the known K, measured minus predicted has the opposite one
     both = by_entry @ np.concatenate(list(with_poses), axis=1)

@@ -16,4 +16,6 @@ def root(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory) -> Ground:
-    return Ground(tmp_path_factory.mktemp("ground"))
+    made = Ground(tmp_path_factory.mktemp("ground"))
+    assert made.root.is_dir()  # some of it is simulated, before a test changes how
+    return made

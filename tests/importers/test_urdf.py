@@ -68,8 +68,8 @@ def test_two_sockets_whose_distance_is_known_tell_the_scale(tmp_path):
         (plan,) = read_plans(load_audit(folder / "audit.toml"), folder).values()
         return len(plan.names) - analyse(plan).structure.rank, plan
 
-    assert (judge(one)[0], judge(two)[0]) == (8, 7)
-    plan = judge(two)[1]
+    (lost_by_one, _), (lost_by_two, plan) = judge(one), judge(two)
+    assert (lost_by_one, lost_by_two) == (8, 7)
     present = plan.variant.data.present[:, [plan.variant.model.names.index(f"socket_{k}[x]") for k in (1, 2)]]
     np.testing.assert_array_equal(present, seated.to_numpy()[:, None] == ["socket_1", "socket_2"])
     assert {one.name for one in plan.list_changes()} == set()  # other poses are in no socket

@@ -147,9 +147,7 @@ class LinearisedTable:
         every = np.where(self.stands[:, None, None], every, 0.0)
         covariance = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(every.shape[1]))
         white, volume = whiten(covariance, every)
-        constant = np.where(self.stands, self.linear.constant, 0.0) - volume
-        usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
-        constant = np.where(self.lost, usual - ROW_PENALTY_NAT * every.shape[1], constant)
+        constant = self._penalise(np.where(self.stands, self.linear.constant, 0.0) - volume)
         known = self.slope.shape[-1] + common.shape[-1]
         return WhitenedRows(white, constant, known, self.log_volume, *self._count())
 
@@ -163,12 +161,17 @@ class LinearisedTable:
         every = np.where(self.stands[:, None, None], every, 0.0).reshape(n * r, -1)
         own = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(r))
         white, volume = whiten(assemble(own[None], self.dense(zeta)[None], np.ones((1, 1)))[0], every)
-        given = np.where(self.stands, self.linear.constant, 0.0)
-        usual = float(np.median(given[self.stands])) if self.stands.any() else 0.0
-        given = np.where(self.lost, usual - ROW_PENALTY_NAT * r, given)
+        given = self._penalise(np.where(self.stands, self.linear.constant, 0.0))
         constant = np.array([given.sum() - volume])
         size = np.sqrt(np.sum(every[:, :-1] ** 2, axis=0) / max(int(np.count_nonzero(every[:, -1])), 1))
         return WhitenedRows(white[None], constant, self.slope.shape[-1], self.log_volume, *self._count(), size)
+
+    def _penalise(self, constant: Array) -> Array:
+        """Return the rows' constants (Q,), those of lost rows far below what is usual."""
+        if not self.lost.any():
+            return constant
+        usual = float(np.median(constant[self.stands])) if self.stands.any() else 0.0
+        return np.where(self.lost, usual - ROW_PENALTY_NAT * self.errors.shape[1], constant)
 
     def _count(self) -> tuple[int, int]:
         """Return how many readings more than poses take there are, and of them those of rows without a pose."""

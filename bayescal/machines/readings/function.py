@@ -167,10 +167,7 @@ def check_derivatives(model: FunctionModel) -> None:
     here = np.concatenate([theta, pose], axis=1)
     _, exact = model.differentiate(theta, pose, given, np.eye(here.shape[1]))
     size = DIFFERENCE * np.maximum(np.abs(here), 1.0)
-    slope, wide = (
-        np.array([_differ(model, where, here, k, times * size[:, k], given) for k in range(here.shape[1])])
-        for times in (1.0, 4.0)
-    )
+    slope, wide = (_differ(model, where, here, times * size, given) for times in (1.0, 4.0))
     # what two steps disagree by is rounding, of the values or of something larger on the way to them; by channel, for
     # channels have units of their own
     steps = size.T[..., None]
@@ -204,12 +201,12 @@ def _check_closed(model: FunctionModel, where: str, theta: Array, pose: Array, g
         )
 
 
-def _differ(model: FunctionModel, where: str, here: Array, entry: int, size: Array, given: Given) -> Array:
-    """Return the derivatives by an entry of (d, v) at points (n, D + q), by central differences of steps (n,)."""
-    n, step = model.layout.size, np.zeros_like(here)
-    step[:, entry] = size
-    above, below = (_read(model, where, at[:, :n], at[:, n:], given) for at in (here + step, here - step))
-    return np.asarray((above - below) / (2.0 * size[:, None]))
+def _differ(model: FunctionModel, where: str, here: Array, size: Array, given: Given) -> Array:
+    """Return derivatives (D + q, n, K) by each entry of (d, v) at points (n, D + q), by differences of such steps."""
+    n, size = model.layout.size, size.T[..., None]
+    step = size * np.eye(len(size))[:, None]
+    above, below = (_read(model, where, at[..., :n], at[..., n:], given) for at in (here + step, here - step))
+    return np.asarray((above - below) / (2.0 * size))
 
 
 COMPLEX_STEP = 1e-30

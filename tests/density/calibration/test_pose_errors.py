@@ -38,8 +38,8 @@ def predict(posterior, y, every=None, seen=SEEN):
 def test_errors_are_those_of_the_mean_of_all_draws(posterior, draws):
     """By forward kinematics of each draw; the mean of the few alone is off by far more."""
     machine, values = posterior.likelihood.model.machine, posterior.likelihood.data.values
-    every = [solve_forward_kinematics(machine, one, values[:, :6]).position for one in posterior.theta(draws)]
-    expected = values[:, 6:9] - np.mean(every, axis=0)
+    every = solve_forward_kinematics(machine, posterior.theta(draws)[:, None], values[:, :6]).position
+    expected = values[:, 6:9] - every.mean(axis=0)
     few = draws[:N_LOOKED_AT]
     alone, found = predict(posterior, few), predict(posterior, few, draws)
     off, rest = (np.abs(one.error[:, :3] - expected).max() for one in (alone, found))

@@ -12,16 +12,19 @@ from bayescal.experiments.audit import compute as audit_compute
 
 SMALL = """
 extends = "base.toml"
-n_simulated_calibrations = 4
-n_prior_draws = 3
+n_simulated_calibrations = 2
+n_prior_draws = 2
 profiles = ["l[1]"]
+
+[poses]
+count = 12
 
 [workspace]
 poses = 20
 
 [sweep]
 noise = [1.0]
-poses = [10, 40]
+poses = [10, 12]
 workspace = [1.0]
 
 [[scenarios]]
@@ -51,9 +54,9 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures)
     assert (code, studies.list_errors(complaint)) == (0, [])
     summary = json.loads((out / "summary.json").read_text())
     assert summary["headline"] in " ".join(said.split())
-    assert summary["simulated_calibrations"]["n"] == 4
+    assert summary["simulated_calibrations"]["n"] == 2
     assert all("posterior_sd_over_draws" in values for values in summary["parameters"].values())
-    named = ["<b>twice</b>", "40 poses chosen I-optimally"]
+    named = ["<b>twice</b>", "12 poses chosen I-optimally"]
     assert [change["name"] for change in summary["scenarios"]] == named
     page = (out / "report.html").read_text()
     assert "<b>twice" not in page
@@ -124,8 +127,8 @@ def test_a_design_at_fault_is_one_line_and_nothing_is_written(refuse, tmp_path, 
 
 @pytest.mark.runs
 def test_a_posterior_that_did_not_converge_is_exit_code_3(call, design, tmp_path, monkeypatch, no_pictures):
-    design.write_text(SMALL.replace("n_simulated_calibrations = 4", "n_simulated_calibrations = 0"))
-    studies.edit(design, "n_prior_draws = 3", "n_prior_draws = 0")
+    design.write_text(SMALL.replace("n_simulated_calibrations = 2", "n_simulated_calibrations = 0"))
+    studies.edit(design, "n_prior_draws = 2", "n_prior_draws = 0")
     compute_audit = audit_compute.compute_audit
 
     def compute(inputs, run):

@@ -24,50 +24,49 @@ def read_tables(folder):
     return {path.stem: pd.read_csv(path) for path in (folder / "tables").glob("*.csv")}
 
 
-def measure_tool(tables):
-    """Return by variant the rms distance, mm, of held-back tools from where commands lead, and the intervals' share."""
-    own = tables["tool_predictions"]
-    square = ((own["measured"] - own["mean"]) ** 2).groupby([own["variant"], own["pose"]]).sum()
-    return np.sqrt(square.groupby("variant").mean()), own.groupby("variant")["in_interval_90"].mean()
+@pytest.fixture
+def run(call, tmp_path):
+    """Return a function that runs a shipped study to its end, which has to converge.
+
+    It returns what was said and, by variant, the logarithm of the evidence, the rms distance, mm, of held-back tools
+    from where commands lead, and the intervals' share.
+    """
+
+    def run_study(study):
+        code, said, _ = call("run", study, "--out", tmp_path / "out", "--workers", 2)
+        assert code == 0
+        tables = read_tables(tmp_path / "out")
+        variants, own = tables["variants"].set_index("variant"), tables["tool_predictions"]
+        assert variants["converged"].all()
+        square = ((own["measured"] - own["mean"]) ** 2).groupby([own["variant"], own["pose"]]).sum()
+        apart, inside = np.sqrt(square.groupby("variant").mean()), own.groupby("variant")["in_interval_90"].mean()
+        return said, variants["log_evidence"], apart, inside
+
+    return run_study
 
 
 @pytest.mark.runs
-def test_an_arm_seen_by_a_tracker(call, tmp_path):
-    code, said, _ = call("run", UR10 / "study.toml", "--out", tmp_path / "out", "--workers", 2)
-    assert code == 0
+def test_an_arm_seen_by_a_tracker(run):
+    said, evidence, apart, inside = run(UR10 / "study.toml")
     assert said.startswith("Use ")
-    tables = read_tables(tmp_path / "out")
-    variants = tables["variants"].set_index("variant")
-    assert variants["converged"].all()
-    assert variants.loc["harmonics", "log_evidence"] > variants.loc["links", "log_evidence"] + 5.0
-    apart, inside = measure_tool(tables)
+    assert evidence["harmonics"] > evidence["links"] + 5.0
     assert apart["harmonics"] < 0.45
     assert apart["harmonics"] < apart["links"] < 0.5
     assert inside.between(0.85, 0.93).all()
 
 
 @pytest.mark.slow
-def test_five_times_the_rows_tell_compliance(call, tmp_path):
-    code, *_ = call("run", UR10 / "study_300.toml", "--out", tmp_path / "out", "--workers", 2)
-    assert code == 0
-    tables = read_tables(tmp_path / "out")
-    variants = tables["variants"].set_index("variant")
-    assert variants["converged"].all()
-    assert variants.loc["compliance", "log_evidence"] > variants.loc["links", "log_evidence"] + 50.0
-    apart, inside = measure_tool(tables)
+def test_five_times_the_rows_tell_compliance(run):
+    _, evidence, apart, inside = run(UR10 / "study_300.toml")
+    assert evidence["compliance"] > evidence["links"] + 50.0
     assert apart["compliance"] < 0.39 < apart["links"] < 0.5
     assert inside.between(0.85, 0.96).all()
 
 
 @pytest.mark.runs
-def test_an_arm_whose_ball_sat_in_sockets(call, tmp_path):
-    code, *_ = call("run", PANDA / "study.toml", "--out", tmp_path / "out", "--workers", 2)
-    assert code == 0
-    tables = read_tables(tmp_path / "out")
-    variants = tables["variants"].set_index("variant")
-    assert variants["converged"].all()
-    assert variants.loc["links", "log_evidence"] > variants.loc["zeros", "log_evidence"] + 100.0
-    apart, inside = measure_tool(tables)
+def test_an_arm_whose_ball_sat_in_sockets(run):
+    _, evidence, apart, inside = run(PANDA / "study.toml")
+    assert evidence["links"] > evidence["zeros"] + 100.0
     assert apart["links"] < 0.7
     assert inside.between(0.85, 0.96).all()
 

@@ -1,5 +1,7 @@
 """Sensors to choose from: sets agree with audits of the same sensors, searches with each other; counts of poses."""
 
+from functools import cache
+
 import calibrations
 import numpy as np
 import pandas as pd
@@ -21,23 +23,28 @@ def folder(tmp_path):
     return calibrations.write_audit(tmp_path).parent
 
 
-@pytest.fixture
-def read(folder):
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
     """Return a function that reads the audit with sensors to choose from, and other changes."""
+    folder = calibrations.write_audit(tmp_path_factory.mktemp("audit")).parent
+    path = folder / "audit.toml"
+    original = path.read_text()
 
+    @cache
     def read_changed(choice, *changes):
-        path = folder / "audit.toml"
-        original = path.read_text()
         path.write_text(f"{original}\n[sensor_selection]\n{choice}\n")
         calibrations.change(path, "seed = 4", 'seed = 4\naccuracy_frame = "base"')  # no best fit takes anything away
         for old, new in changes:
             calibrations.change(path, old, new)
-        try:
-            return read_design(load(path)[1], folder)
-        finally:
-            path.write_text(original)
+        return read_design(load(path)[1], folder)
 
     return read_changed
+
+
+@pytest.fixture(scope="module")
+def every(read):
+    """Return all sets of the sensors."""
+    return search_sensors(read(ALL).sensors)
 
 
 def names_of(inputs, found, place):
@@ -81,11 +88,10 @@ def test_a_set_is_as_good_as_an_audit_of_the_same_sensors_says(aligned, error, a
     assert found["status"] == ("good" if aligned else "warning")
 
 
-def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read):
+def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read, every):
     goals = []
-    for what in ("rms", "all_poses"):
-        inputs = read(ALL, ('requirement_applies_to = "rms"', f'requirement_applies_to = "{what}"'))
-        found = search_sensors(inputs.sensors)
+    poses = read(ALL, ('requirement_applies_to = "rms"', 'requirement_applies_to = "all_poses"'))
+    for inputs, found in ((read(ALL), every), (poses, search_sensors(poses.sensors))):
         best = found.best_of(6)
         goals.append(found.accuracy[best].goal)
         outlooks = judge(inputs.plans["both"]).outlooks
@@ -93,8 +99,7 @@ def test_sets_are_judged_at_every_pose_or_by_the_rms_as_is_required(read):
     assert goals[1] > 1.2 * goals[0]
 
 
-def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
-    every = search_sensors(read(ALL).sensors)
+def test_adding_and_exchanging_finds_the_best_of_all_sets(read, every):
     inputs = read(f"{ALL}\nmax_exhaustive_sets = 0")
     some = search_sensors(inputs.sensors)
     assert every.exhaustive
@@ -105,9 +110,8 @@ def test_adding_and_exchanging_finds_the_best_of_all_sets(read):
     assert names_of(inputs, some, some.best_of(4)) == ["s[1]", "s[2]", "s[3]", "height"]
 
 
-def test_what_is_no_good_is_named_by_its_largest_sets(read):
-    inputs = read(ALL)
-    found = search_sensors(inputs.sensors)
+def test_what_is_no_good_is_named_by_its_largest_sets(read, every):
+    inputs, found = read(ALL), every
     infeasible = [names_of(inputs, found, k) for k in find_infeasible(found)]
     assert [sorted({"s[1]", "s[2]", "s[3]"} - set(one)) for one in infeasible] == [["s[3]"], ["s[2]"], ["s[1]"]]
     assert all(len(one) == 5 for one in infeasible)
@@ -125,11 +129,10 @@ def test_an_instrument_is_bought_whole_and_what_is_always_there_does_not_count(r
     assert not any(one.reason for one in found.accuracy)
 
 
-def test_a_set_cannot_be_better_than_one_that_holds_it(read):
-    found = search_sensors(read(ALL).sensors)
-    goals = np.array([one.goal for one in found.accuracy])
-    for row, goal in zip(found.sets, goals, strict=True):
-        larger = (row <= found.sets).all(axis=1)
+def test_a_set_cannot_be_better_than_one_that_holds_it(every):
+    goals = np.array([one.goal for one in every.accuracy])
+    for row, goal in zip(every.sets, goals, strict=True):
+        larger = (row <= every.sets).all(axis=1)
         assert (goals[larger] <= goal * (1.0 + 1e-9)).all()
 
 

@@ -29,6 +29,7 @@ N_WORKSPACE = 200
 STARTS = 0.6  # of the half widths, from where poses are looked for
 MOST_TRIES, SINGLE = 100, 20
 ROUNDS, EACH = 5, 40  # of starts for poses that touch, in each so many for a pose
+HOPELESS = 400  # starts together, none of which leads to a contact: few poses would touch in the rounds that are left
 EDGE = 1e-9  # of the half widths, by which poses may lie beyond the workspace: by rounding
 LARGEST_GRID = 81  # starts; beyond, they are drawn
 STRAIGHT = 1e-9  # of a slope, by which it may be another elsewhere
@@ -228,6 +229,8 @@ def lead_to_contact(
         pose[there] = led[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
             return pose, read
+        if not found.any() and len(found) >= HOPELESS:
+            break
         from_rows = np.repeat(rows, EACH)
         start = workspace.draw(len(from_rows), rng)
     name = model.contacts[rows[0] % len(model.contacts)]
