@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 LITTLE = {
+    "inference.exploration.MAX_PILOTS": 0,
     "inference.exploration.MAX_ROUNDS": 0,
     "inference.exploration.TRIAL_DRAWS": 100,
     "inference.chain_checks.N_DRAWS": 500,  # draws from farther out, which look for what the proposal lacks

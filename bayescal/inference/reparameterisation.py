@@ -235,6 +235,10 @@ class Reparameterisation:
         total = total + self._curve(y) + self.posterior.log_density(y)
         return np.where(np.isnan(total), -np.inf, total)  # so far out that coordinates overflow there is no machine
 
+    def fitted_to(self, y: Array) -> Reparameterisation:
+        """Return the straightening with its bend fitted to draws (B, n)."""
+        return replace(self, bend=fit_bend(y[:, self.posterior.n_geometry :]) if self.follows_errors else None)
+
     def exactly(self) -> Reparameterisation | None:
         """Return the same with geometry given the errors as in closed form; None where no fit to that is there."""
         exact = None if self.conditional is None else self.conditional.exact

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+from test_adaptation import tell_little
 from test_chain_checks import banana, long_tail, minor_mode, skewed, two_modes
 from test_evidence import funnel
 from test_loose import Arc, bend
@@ -28,16 +29,6 @@ from bayescal.inference.importance import difference_twice
 from bayescal.numerics.geometry import Array
 from benchmarks.truth.projects import write_project, write_tables
 from benchmarks.truth.scores import draw_twin
-
-N = 8
-ROWS, READ = np.eye(2, N) + np.eye(2, N, 1), np.array([1.0, -0.5])
-
-
-def tell_little(x: Array) -> Array:
-    """Return the log-density (B,) of two linear rows of noise 0.3 beside a standard normal prior, of vectors (B, 8)."""
-    prior = stats.multivariate_normal(np.zeros(N), np.eye(N))
-    return np.asarray(prior.logpdf(x) + stats.multivariate_normal(READ, 0.09 * np.eye(2)).logpdf(x @ ROWS.T))
-
 
 ROOT = Path(__file__).parents[2]
 STUDIES = {

@@ -201,6 +201,8 @@ RUNGS = (
         ((exploration, "proposal_from_peaks"),),
         several=True,
     ),
+    Rung("adaptation", "adaptation", {(exploration, "adapt_proposal"): _nothing}),
+    Rung("pilots", "exploration", {(exploration, "MAX_PILOTS"): 0}, ((exploration, "_refit"),)),
     Rung("clusters", "exploration", {(exploration, "add_clusters"): _keep}),
     Rung("heavier tails", "chain_checks", {(estimate, "widen_tails"): _keep_both}),
     # draws

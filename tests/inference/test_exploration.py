@@ -11,7 +11,7 @@ import telescope_machines as machines
 
 from bayescal.inference.bridge import estimate_by_bridge
 from bayescal.inference.ensemble import run_ensemble
-from bayescal.inference.exploration import FINE_ENOUGH, Exploration, _compare, add_clusters, explore
+from bayescal.inference.exploration import FINE_ENOUGH, Exploration, _compare, _refit, add_clusters, explore
 from bayescal.inference.importance import estimate_by_importance
 from bayescal.inference.proposal import MixtureProposal
 from bayescal.inference.schema import count_walkers
@@ -118,3 +118,10 @@ def test_a_density_is_fine_where_its_posterior_has_draws(finer, fine):
     found = Exploration(straight, proposal, [], 0.2)
     share, left_out = _compare(found, SimpleNamespace(log_density=other), np.random.default_rng(1))
     assert (share >= FINE_ENOUGH) is (left_out < 0.1) is fine
+
+
+def test_a_pilot_whose_walkers_stand_still_keeps_what_was_known(explorations):
+    posterior, found = explorations["none"]
+    still = np.tile(found.straight.x_from_y(found.modes[0].y[None]), (50 * posterior.n_parameters, 1))
+    proposal = _refit(found.straight, still, found.modes)
+    assert np.isfinite(proposal.log_density(still[:1])).all()

@@ -89,13 +89,13 @@ def arc():
 
 
 def test_a_proposal_follows_the_arc_without_a_pilot(arc):
-    found = explore(arc, np.random.SeedSequence(1))
+    found = explore(arc, np.random.SeedSequence(1), 64, max_pilots=0)
     assert found.efficiency > 0.8
     assert found.straight.loose is not None
 
 
 def test_many_loose_directions_are_followed_all_at_once():
-    found = explore(bend(5, 20, size=0.5), np.random.SeedSequence(1))
+    found = explore(bend(5, 20, size=0.5), np.random.SeedSequence(1), 64, max_pilots=0)
     assert found.efficiency > 0.8
     assert found.straight.loose.bent.shape == (20 * 21 // 2, 5)
 

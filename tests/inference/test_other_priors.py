@@ -30,7 +30,7 @@ def widen(posterior, factor):
 
 def weigh(posterior, seed):
     """Return what exploring a posterior finds, and its log-evidence."""
-    found = explore(posterior, np.random.SeedSequence(seed), from_prior=True)
+    found = explore(posterior, np.random.SeedSequence(seed), 64, from_prior=True)
     return found, weigh_proposal(found, np.random.SeedSequence(seed + 1), EFFORT)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import telescope_machines as machines
@@ -41,7 +39,7 @@ def fitted(twin):
         mode = find_modes(posterior)[0]
         plain = straighten(posterior, mode)
         draws = sample(posterior, plain, mode)
-        found[name] = (posterior, plain, replace(plain, bend=fit_bend(draws[:, posterior.n_geometry :])), draws)
+        found[name] = (posterior, plain, plain.fitted_to(draws), draws)
     return found
 
 
@@ -52,7 +50,7 @@ def variant(request, fitted):
 
 
 def test_the_parts_are_there(fitted):
-    assert all(f[2].bend is not None for f in fitted.values())
+    assert all(f[2].bend is not None and f[2].follows_errors for f in fitted.values())
     assert all(np.abs(f[2].bend.b).max() > 1e-2 for f in fitted.values())
     assert fitted["none"][1].bend is None
     assert [f[1].conditional is not None for f in fitted.values()] == [False, True, True]

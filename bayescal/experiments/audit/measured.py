@@ -211,7 +211,7 @@ def draw(task: tuple[MeasuredReadings, DrawsConfig, int, int]) -> Draws:
     found, config, wanted, seed = task
     target = found.with_pose_guesses
     explore_seed, ensemble_seed = np.random.SeedSequence([seed, SEED]).spawn(2)
-    exploration = explore(target, explore_seed, from_prior=True)
+    exploration = explore(target, explore_seed, config.walkers, from_prior=True)
     walkers = count_walkers(target.n_parameters, config.walkers)
     steps = max(LEAST_STEPS, -(-wanted // (config.ensembles * walkers)))
     drawn = sample_posterior(exploration, ensemble_seed, config.ensembles, config.walkers, config.burn_in, steps)

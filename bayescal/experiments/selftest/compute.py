@@ -87,7 +87,7 @@ def _weigh(inputs: SelftestInputs, name: str) -> Arrays:
     """Return the log-evidence of a variant, near enough to tell the best; minus infinity where none is found."""
     explore_seed, draw_seed = np.random.SeedSequence([inputs.config.seed, 2]).spawn(2)
     try:
-        found = explore(inputs.subjects[name].posterior, explore_seed)
+        found = explore(inputs.subjects[name].posterior, explore_seed, max_pilots=0)
         straight, rng = found.straight, np.random.default_rng(draw_seed)
         value = estimate_by_importance(straight.log_density, found.proposal, rng, DRAWS).log_evidence
     except NumericalError:

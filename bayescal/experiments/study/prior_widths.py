@@ -48,6 +48,8 @@ NOT_FOUND = ImportanceEvidence(math.nan, math.nan, math.nan, NO_PARETO, 0)
 """Of a width whose evidence could not be computed."""
 ERROR, ROUGH_ERROR = 0.03, 0.3
 """Standard error in nats that is enough; the latter for a variant that is out of the question."""
+PILOTS = 0
+"""Pilots of a proposal: a width costs less than the study's own fit, and its evidence has the error that it has."""
 ROUGHLY_ACCEPTABLE = 0.1
 """Efficiency of a proposal from which on it is not sharpened for such a variant."""
 
@@ -140,7 +142,7 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     draws = min(FEW_DRAWS if task.is_rough else DRAWS, config.evidence.draws)
     error = max(ROUGH_ERROR if task.is_rough else ERROR, config.evidence.tolerance_nat)
     effort = config.evidence.model_copy(update={"draws": draws, "tolerance_nat": error})
-    exploration, importance = _weigh(task, subject.posterior, starts, others, seeds, effort)
+    exploration, importance = _weigh(task, subject.posterior, starts, others, seeds, config.sampler.walkers, effort)
     costly = subject.find_costly(exploration)
     enough = ROUGH_ERROR if task.is_rough else KNOWN_ENOUGH
     return shift_evidence(
@@ -154,6 +156,7 @@ def _weigh(
     starts: Array,
     others: Sequence[Mode],
     seeds: Sequence[np.random.SeedSequence],
+    walkers: int,
     effort: EvidenceConfig,
 ) -> tuple[Exploration, ImportanceEvidence]:
     """Return what a proposal that is good enough finds, or a better one if it is not and the variant is in question.
@@ -164,7 +167,16 @@ def _weigh(
     found = list[tuple[Exploration, ImportanceEvidence]]()
     try:
         for enough in task.list_efficiencies():
-            exploration = explore_near(posterior, starts, seeds[0], others, enough=enough, fine_enough=CORRECTABLE)
+            exploration = explore_near(
+                posterior,
+                starts,
+                seeds[0],
+                walkers,
+                others,
+                enough=enough,
+                fine_enough=CORRECTABLE,
+                max_pilots=PILOTS,
+            )
             found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
             if task.is_hard or task.is_rough or not found[-1][1].is_doubtful:
                 return found[-1]
@@ -173,7 +185,7 @@ def _weigh(
             starts, others = np.stack([mode.y for mode in exploration.modes]), ()
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, seeds[0], from_prior=True, fine_enough=CORRECTABLE)
+    exploration = explore(posterior, seeds[0], walkers, PILOTS, from_prior=True, fine_enough=CORRECTABLE)
     found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
     best = found.pop()
     for other in found:

@@ -428,7 +428,7 @@ def split_verification(
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
         posterior = variant.posterior(~held).with_pose_guesses()
-        found = explore(posterior, first)
+        found = explore(posterior, first, inputs.config.sampler.walkers, max_pilots=0)  # draws are weighed anyway
         drawn = resample(found.straight.log_density, found.proposal, rng, PROPOSED * effort, effort)
         y, efficiency, pareto_k = found.straight.y_from_x(drawn.draws), drawn.efficiency, drawn.pareto_k
     else:

@@ -38,7 +38,7 @@ TINY = Tolerances(1e-3, *np.radians([1e-4, 1e-3]))
 def sample(target, seed, steps=120):
     """Return draws in sampling coordinates (S, n), and the evidence by importance and by bridge sampling."""
     seeds = np.random.SeedSequence(seed).spawn(2)
-    found = explore(target, seeds[0])
+    found = explore(target, seeds[0], 64)
     density = found.straight.log_density
     importance = estimate_by_importance(density, found.proposal, np.random.default_rng(seed), 4000)
     draws = sample_posterior(found, seeds[1], 4, 64, 20, steps)

@@ -87,7 +87,7 @@ def test_deviations_are_those_of_a_calibration_of_simulated_data(folder, run, st
     config = config if error is None else config.model_copy(update={"model_error": error})
     variant = read_inputs(config, folder).variants["all"]
     posterior, rng = variant.posterior().with_pose_guesses(), np.random.default_rng(1)
-    found = explore(posterior, np.random.SeedSequence(1))
+    found = explore(posterior, np.random.SeedSequence(1), 48, max_pilots=0)
     drawn = resample(found.straight.log_density, found.proposal, rng, 16000, 2000)
     sd = posterior.natural(found.straight.y_from_x(drawn.draws)).std(axis=0)
     n = posterior.n_geometry

@@ -34,7 +34,7 @@ def finished(tmp_path_factory) -> Path:
     path = studies.write_tiny_study(folder)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(frame, "write_page", lambda page, folder, *more: folder)
-        for name, value in {"MAX_ROUNDS": 0, "TRIAL_DRAWS": 100}.items():
+        for name, value in {"MAX_PILOTS": 0, "MAX_ROUNDS": 0, "TRIAL_DRAWS": 100}.items():
             patched.setattr(f"bayescal.inference.exploration.{name}", value)
         frame.run_experiment(load_experiment(path), folder, folder / "out")
     return folder
@@ -159,7 +159,7 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse_here, call):
         (("export", "out", "--experiment", "other.toml"), "other.toml: found another study"),
         (("export", "nowhere"), "nowhere/provenance.json: no such file"),
         (("export", "out", "--out", "study.toml"), "study.toml:"),
-        (("predict", "out", "far.csv"), "far.csv, line 2: pose 'P0', rho_1_mm: found 20 mm"),
+        (("predict", "out", "far.csv"), "far.csv: pose 'P0', leg 1: found 20 mm"),
         (("compensate", "out", "far.csv"), "far.csv: found no column 'x_mm'"),
     ],
 )
