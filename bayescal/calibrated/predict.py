@@ -19,7 +19,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from bayescal.calibrated.machine import MODEL, CalibratedMachine
 from bayescal.density.calibration.measurements import Comparison, Measurements
@@ -343,7 +343,7 @@ def _predict_some(
 def find_contradictory(calibrated: CalibratedMachine, misfit: Array) -> np.ndarray:
     """Return which commands contradict one another more than by chance, (P,), by their `measure_misfit`."""
     spare = len(calibrated.commanded) - len(calibrated.model.coordinates)
-    return np.asarray(chi2.sf(spare * misfit**2, max(spare, 1)) < IMPROBABLE)
+    return np.asarray(chdtrc(max(spare, 1), spare * misfit**2) < IMPROBABLE)
 
 
 def measure_misfit(calibrated: CalibratedMachine, at: LinearisedCommands, errors: ErrorsThere) -> Array:

@@ -36,8 +36,8 @@ def _plant(rng, machine, symbols):
         frames += [frame, f"{frame}_r"]
         for k, axis in enumerate("xyz"):
             joints = {f"{prefix}_{axis}[{i + 1}]": 1.0 for i in range(len(points))}
-            vectors += [{f"i_{frame}[{k + 1}]": 1.0} | joints]
-            vectors += [{f"i_{frame}_r[{k + 1}]": 1.0} | _turn(prefix, points, np.eye(3)[k], mechanism)]
+            vectors += [{f"i_{frame}[{axis}]": 1.0} | joints]
+            vectors += [{f"i_{frame}_r[{axis}]": 1.0} | _turn(prefix, points, np.eye(3)[k], mechanism)]
     return problems.build_knowledge(machine, tuple(planted)), tuple(frames), vectors
 
 
