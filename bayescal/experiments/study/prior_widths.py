@@ -84,13 +84,13 @@ class WidthTask:
     @property
     def is_done(self) -> bool:
         """Whether the fit's own draws are enough, and no other mode need be looked for."""
-        return self.moved is not None and (self.is_rough or self.factor < 1.0)
+        return self.moved is not None and self.factor < 1.0
 
     def list_efficiencies(self) -> tuple[float, ...]:
         """Return the efficiencies from which on a proposal is not sharpened, of one try after the other."""
         if self.is_hard:
             return (WORTH_ANOTHER,)
-        return (ROUGHLY_ACCEPTABLE,) if self.is_rough else (ACCEPTABLE, GOOD_ENOUGH)
+        return (ROUGHLY_ACCEPTABLE, ACCEPTABLE) if self.is_rough else (ACCEPTABLE, GOOD_ENOUGH)
 
 
 def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
@@ -134,9 +134,9 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
     subject, known = ReadingSubject(variant.posterior(factor=task.factor).with_pose_guesses()), variant.posterior()
     others: list[Mode] = []
-    if task.factor > 1.0 and not (task.is_hard or task.is_rough):
+    if task.factor > 1.0 and (task.moved is not None or not task.is_hard):
         others = find_modes(subject.posterior)
-        if task.moved is not None and len(others) == 1:
+        if task.moved is not None and len(others) <= len(task.modes):
             return task.moved
     starts = subject.posterior.to_coordinates(known.theta(task.modes), task.modes[:, known.n_geometry :])
     draws = min(FEW_DRAWS if task.is_rough else DRAWS, config.evidence.draws)
@@ -178,15 +178,16 @@ def _weigh(
                 max_pilots=PILOTS,
             )
             found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
-            if task.is_hard or task.is_rough or not found[-1][1].is_doubtful:
+            if task.is_hard or not found[-1][1].is_doubtful:
                 return found[-1]
-            if exploration.efficiency < ACCEPTABLE:
+            if exploration.efficiency < enough:
                 break  # it was sharpened as far as that goes
             starts, others = np.stack([mode.y for mode in exploration.modes]), ()
     except NumericalError:
         pass  # no start led to a mode: the search from the beginning finds one, or says why not
-    exploration = explore(posterior, seeds[0], walkers, PILOTS, from_prior=True, fine_enough=CORRECTABLE)
-    found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
+    if not (found and task.is_rough):
+        exploration = explore(posterior, seeds[0], walkers, PILOTS, from_prior=True, fine_enough=CORRECTABLE)
+        found.append((exploration, weigh_proposal(exploration, seeds[1], effort)))
     best = found.pop()
     for other in found:
         best = other if other[1].is_better_than(best[1]) else best

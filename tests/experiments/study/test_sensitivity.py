@@ -101,10 +101,10 @@ def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency,
 
 @pytest.mark.parametrize(
     ("behind", "factor", "error", "is_done"),
-    [(0.0, 0.5, 0.03, True), (0.0, 2.0, 0.03, False), (0.0, 0.5, 0.2, False), (90.0, 2.0, 0.2, True)],
+    [(0.0, 0.5, 0.03, True), (0.0, 2.0, 0.03, False), (0.0, 0.5, 0.2, False), (90.0, 0.5, 0.2, True)],
 )
 def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, factor, error, is_done):
-    """Wider priors may have other modes; of a variant out of the question nobody looks, and a rough error will do."""
+    """Wider priors may have other modes, whatever draws say; of a variant out of the question a rough error does."""
     first, second = load(tmp_path).variants
     moved = ImportanceEvidence(1.0, error, 0.5, 0.2, 500)
     fits = {
@@ -119,7 +119,7 @@ def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, factor, erro
 
 @pytest.mark.parametrize(
     ("behind", "is_hard", "explored"),
-    [(0.0, False, ["near", "near", "again"]), (60.0, False, ["near"]), (0.0, True, ["near"])],
+    [(0.0, False, ["near", "near", "again"]), (60.0, False, ["near", "near"]), (0.0, True, ["near"])],
 )
 def test_a_doubtful_evidence_is_mended_where_that_may_help_a_variant_in_question(
     tmp_path, monkeypatch, behind, is_hard, explored
