@@ -198,23 +198,29 @@ def _try_others(calibrated: CalibratedMachine, pose: Array, commands: Array, giv
     model, theta, weights, q = calibrated.model, calibrated.theta, calibrated.weights, len(calibrated.model.coordinates)
     compare = Comparison(calibrated.command_channels)
 
-    def measure(pose: Array, rows: np.ndarray) -> Array:
+    def read(pose: Array, rows: np.ndarray) -> Array:
         with np.errstate(all="ignore"):
-            read = model.read(theta, pose, _pick(given, rows))[:, calibrated.commanded]
-            left = np.sum((weights * compare.subtract(commands[rows], read)) ** 2, axis=1)
+            return np.asarray(model.read(theta, pose, _pick(given, rows))[:, calibrated.commanded])
+
+    def measure(command: Array, read: Array) -> Array:
+        with np.errstate(all="ignore"):
+            left = np.sum((weights * compare.subtract(command, read)) ** 2, axis=1)
         return np.where(np.isfinite(left), left, np.inf)
 
-    left = measure(pose, np.arange(len(pose)))
+    left = measure(commands, read(pose, np.arange(len(pose))))
     rng, (least, most) = np.random.default_rng(0), bound_workspace(calibrated)
     size = 0.5 * (most - least) * BEYOND ** rng.uniform(0.0, 1.0, (STARTS, q))
     starts = 0.5 * (least + most) + size * rng.uniform(-1.0, 1.0, (STARTS, q))
+    there_read: Array | None = None
     for k in range(len(pose)):
         rows = np.full(STARTS, k)
-        near = np.argsort(measure(starts, rows), kind="stable")[:TRIED]
+        if there_read is None or given:  # the same in every row, unless its conditions are others
+            there_read = read(starts, rows)
+        near = np.argsort(measure(commands[k], there_read), kind="stable")[:TRIED]
         with np.errstate(all="ignore"):
             some, each = _pick(given, rows[:TRIED]), np.tile(commands[k], (TRIED, 1))
             other, there = locate_pose(model, theta, each, some, starts[near], weights)
-        then = np.where(there, measure(other, rows[:TRIED]), np.inf)
+        then = np.where(there, measure(commands[k], read(other, rows[:TRIED])), np.inf)
         if then.min() < left[k]:
             pose[k], left[k] = other[then.argmin()], then.min()
     return pose, np.isfinite(left)
@@ -596,9 +602,10 @@ def _spread(
 
 
 def _join_errors(calibrated: CalibratedMachine, slope: Array, columns: Array | None) -> tuple[Array, Array, Array]:
-    """Return what moves by the uncertain parameters (P, M, n), what of it by errors that follow them, and the rest's.
+    """Return slopes by the uncertain parameters, the part of these by systematic errors, and factors of the rest.
 
-    Systematic errors follow the geometry in part: that part, (P, M, n), and factors (P, M, A) of what is left.
+    Systematic errors follow the geometry in part: slopes (P, M, n) include that part, which is (P, M, n), too. Their
+    deviations from it have the covariance F F^T, by factors F (P, M, A).
     """
     slope, along = slope[..., calibrated.free], np.zeros((1, 1, len(calibrated.free)))
     beside = np.zeros((*slope.shape[:2], 0))

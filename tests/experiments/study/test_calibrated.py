@@ -159,7 +159,7 @@ def test_poses_out_of_reach_are_named_row_by_row(study, refuse_here, call):
         (("export", "out", "--experiment", "other.toml"), "other.toml: found another study"),
         (("export", "nowhere"), "nowhere/provenance.json: no such file"),
         (("export", "out", "--out", "study.toml"), "study.toml:"),
-        (("predict", "out", "far.csv"), "far.csv: pose 'P0', leg 1: found 20 mm"),
+        (("predict", "out", "far.csv"), "far.csv, line 2: pose 'P0', rho_1_mm: found 20 mm"),
         (("compensate", "out", "far.csv"), "far.csv: found no column 'x_mm'"),
     ],
 )

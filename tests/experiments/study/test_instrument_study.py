@@ -290,7 +290,7 @@ FAULTS = {
             scale_columns(("azimuth_deg", "elevation_deg"), np.pi / 180),
             "station 'north': found points 826",
         ),
-        "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "azimuth_deg: found"),
+        "another unit": ("data/points.csv", swap_column("azimuth_deg", "azimuth_rad"), "azimuth_rad: found"),
         "no noise": (
             "points.toml",
             lambda text: re.sub(r"(range|azimuth|elevation)_\w+ = .*\n", "", text),
