@@ -87,7 +87,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--studies", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--machines", nargs="+", default=list(MACHINES))
+    parser.add_argument("--machines", nargs="+", choices=MACHINES, default=list(MACHINES))
     parser.add_argument("--changes", nargs="+", default=list(CHANGES))
     parser.add_argument("--out", type=Path)
     asked, rows = parser.parse_args(), list[dict[str, object]]()

@@ -34,7 +34,7 @@ TINY = {
     "pose_selection.py --candidates 300 --iterations 5 --sets 5": (),
     "sampling.py --warm-up 50 --draws 50": ("jax", "numpyro"),
     "sessions.py --twins 1": (),
-    "stated.py --machines linear --studies 1": (),
+    "stated.py --machines 'serial arm' --studies 1": (),
     "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
 }
 """By command: what it needs that the tests do not."""
@@ -70,7 +70,7 @@ def test_a_benchmark_runs_tiny(command, tmp_path):
     for folder in ("benchmarks", "experiments", "examples", "tests"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__", "results"))
     (tmp_path / "benchmarks" / "results").mkdir()
-    script, *options = command.split()
+    script, *options = shlex.split(command)
     done = subprocess.run(
         [sys.executable, tmp_path / "benchmarks" / script, *options],
         cwd=tmp_path,
