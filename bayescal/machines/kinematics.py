@@ -156,10 +156,13 @@ class Machine:
 
     def basis_at(self, theta: Array, actuators: Array) -> DeformationBasis:
         """Return the same with the actuators' gain of the machines (..., D) themselves, not of the nominal one."""
+        return replace(self.basis(actuators), actuator_gain=self.actuator_gain(theta))
+
+    def actuator_gain(self, theta: Array) -> Array:
+        """Return by how much each actuator deflects the joints of machines (..., D), shape (..., N, N), mm per mm."""
         n_legs = self.mechanism.n_legs
         unit = self.deformation.basis(np.eye(n_legs)).deflection(self.layout, theta[..., None, :])
-        gain = np.swapaxes(np.broadcast_to(unit, (*theta.shape[:-1], n_legs, n_legs)), -1, -2)
-        return replace(self.basis(actuators), actuator_gain=gain)
+        return np.swapaxes(np.broadcast_to(unit, (*theta.shape[:-1], n_legs, n_legs)), -1, -2)
 
     def linearise(self, theta: Array, position: Array, rotation: Array, actuators: Array) -> Linearisation:
         """Return the closure and its derivatives at poses (..., 3), (..., 3, 3) and actuator positions (..., N)."""
@@ -308,14 +311,19 @@ def solve_inverse_kinematics(
         if near is not None:  # on the side of the foot on which perfect legs stand
             actuators = np.where(np.abs(near - actuators) < START_WITHIN_MM, near, actuators)
         actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
-        closure = machine.model.prepare(layout, theta)
+        closure, gain = machine.model.prepare(layout, theta), machine.actuator_gain(theta)
+        before: Array | float = 0.0
         for _ in range(MOST_STEPS):
-            here = closure(position, rotation, machine.basis(actuators), with_parameters=False)
+            basis = replace(machine.basis(actuators), actuator_gain=gain)
+            here = closure(position, rotation, basis, with_parameters=False)
             step, gap = _actuator_step(here), here.residual
-            if not np.any(np.abs(step) >= STEP_TOLERANCE):
+            actuators, size = actuators + step, np.abs(step).max(axis=-1)
+            # steps shrink at least as fast as the last two did: by how much the next one would move
+            left = np.minimum(size, size**2 / np.maximum(before, STEP_TOLERANCE))
+            if not np.any(left >= STEP_TOLERANCE):
                 break
-            actuators = actuators + step
-        converged = (np.abs(step) < STEP_TOLERANCE).all(axis=-1)
+            before = size
+        converged = left < STEP_TOLERANCE
     if check and not converged.all():
         index = int(np.argmin(converged.ravel()))
         far = np.nan_to_num(np.abs(np.broadcast_to(gap, shape).reshape(-1, n_legs)[index]), nan=np.inf)
