@@ -104,21 +104,17 @@ class Coefficients:
         """-½ |û|² - ½ log |M|, what coefficients add to the density of the residuals, shape (B,)."""
         return np.asarray(self.log_volume - 0.5 * np.einsum("bi,bi->b", self.mean, self.signs * self.mean))
 
-    def draw(self, error: Array, rng: np.random.Generator) -> Array:
-        """Return one draw for each machine, (B, N), given white rows (B, P, m).
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return one draw for each machine, (B, N).
 
-        Columns that are taken away from the covariance are those of noise that depends on the others: these have
-        u ~ N(0, 1) before anything is read and the covariance A with the rows.
+        Columns that are taken away from the covariance are those of noise that depends on the others, and are not
+        drawn. The others are normal about their part of û with their part of M⁻¹: with W and D = diag(signs), what
+        rows tell of A₊ is A₊ᵀ (W⁻¹ + A D Aᵀ)⁻¹ = (M⁻¹)₊ Aᵀ W, and what that leaves of the prior is (M⁻¹)₊₊.
         """
         normal = rng.standard_normal((*self.mean.shape, 1))
-        if not np.ndim(self.signs):
-            return np.asarray(self.mean + (np.linalg.cholesky(self.inverse) @ normal)[..., 0])
-        adds = np.flatnonzero(np.asarray(self.signs) > 0.0)
-        own, flat = self.columns[..., adds], _flatten(self.columns[..., adds])
-        told, drawn = _flatten(self.reduce(own)), np.zeros(self.mean.shape)
-        mean = (np.swapaxes(told, -1, -2) @ error.reshape(len(error), -1, 1))[..., 0]
-        spread = np.eye(len(adds)) - np.swapaxes(flat, -1, -2) @ told
-        drawn[:, adds] = mean + (np.linalg.cholesky(spread) @ normal[:, adds])[..., 0]
+        adds = np.flatnonzero(np.broadcast_to(self.signs, self.mean.shape[-1:]) > 0.0)
+        drawn, own = np.zeros(self.mean.shape), self.inverse[:, adds[:, None], adds]
+        drawn[:, adds] = self.mean[:, adds] + (np.linalg.cholesky(own) @ normal[:, adds])[..., 0]
         return drawn
 
     def reduce(self, rows: Array) -> Array:

@@ -122,7 +122,7 @@ def test_columns_that_are_taken_away_make_a_dense_normal_of_correlated_noise(rng
     )
     # k and the rows are normal together, with covariance A + G
     told = (design + across).T @ np.linalg.inv(covariance)
-    draws = np.concatenate([found.draw(error.reshape(1, n, M), rng) for _ in range(4000)])[:, :k]
+    draws = np.concatenate([found.draw(rng) for _ in range(4000)])[:, :k]
     spread = np.eye(k) - told @ (design + across)
     assert np.abs(draws.mean(axis=0) - told @ error).max() < 4.5 * np.sqrt(np.diag(spread).max() / 4000)
     np.testing.assert_allclose(np.cov(draws.T), spread, atol=0.1 * np.diag(spread).max())

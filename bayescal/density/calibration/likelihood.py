@@ -182,13 +182,15 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
                 return known
         result = np.empty((len(theta), other.data.n_poses))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
+            beyond = other.whiten(*other.noise(errors, zeta[part]))
+            there = other.stand(theta[part], beyond, other.approach_poses(theta[part], beyond))
             for some, found in self._absorb(errors, zeta[part], white, at):
                 own = zeta[part][some]
-                beyond = other.whiten(*other.noise(errors, own))
-                there = other.stand(theta[part][some], beyond)
-                columns = other.columns(errors, own, beyond, there.slope)
-                given = found.condition_others(there.error, columns, errors.tails(own), other.n_spare)
-                result[part][some] = other.offset(beyond, there) + given
+                columns = other.columns(errors, own, beyond.pick(some), there.slope[some])
+                result[part][some] = found.condition_others(
+                    there.error[some], columns, errors.tails(own), other.n_spare
+                )
+            result[part] += other.offset(beyond, there)
         return np.where(np.isfinite(result), result, -np.inf)
 
     def residuals(self, theta: Array, errors: ErrorModel, zeta: Array) -> Array:
@@ -235,16 +237,22 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         """Return what coefficients do to white readings at poses that stay, (B, P, K, N)."""
         return white.rows(np.where(self.data.present[..., None], errors.columns(zeta, self.data, self.error_gain), 0.0))
 
-    def draw_common(self, theta: Array, errors: ErrorModel, zeta: Array, rng: np.random.Generator) -> CommonDraws:
-        """Return draws of the errors common to all rows, one for each machine."""
+    def draw_common(
+        self,
+        theta: Array,
+        errors: ErrorModel,
+        zeta: Array,
+        rng: np.random.Generator,
+        known: tuple[Whitening, PoseEstimate] | None = None,
+    ) -> CommonDraws:
+        """Return draws of the errors common to all rows, one for each machine; ``known`` is what `explain` returns."""
         if not errors.has_columns:
             return CommonDraws(errors, ())
         if self.frozen is not None:
             return CommonDraws(errors, ((zeta, self.frozen.draw(self, theta, errors, zeta, rng)),))
-        white, at = self.explain(theta, errors, zeta)
+        white, at = self.explain(theta, errors, zeta) if known is None else known
         absorbed = self._absorb(errors, zeta, white, at)
-        parts = [(zeta[some], found.draw(at.error[some], rng)) for some, found in absorbed]
-        return CommonDraws(errors, tuple(parts))
+        return CommonDraws(errors, tuple((zeta[some], found.draw(rng)) for some, found in absorbed))
 
     def _absorb(
         self, errors: ErrorModel, zeta: Array, white: Whitening, at: PoseEstimate

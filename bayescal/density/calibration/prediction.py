@@ -71,44 +71,94 @@ def predict_readings(
     by : ndarray of bool, shape (K,), optional
         Channels by which all others are predicted, instead of each by the others.
     """
-    q, parts, lost = len(held.model.coordinates), [], list[tuple[int, int, str]]()
-    predicted = held.data.present.any(axis=0) & (True if by is None else ~by)
-    common = np.zeros((len(y), *held.data.sd.shape))
-    if posterior.errors.has_columns:
+    return predict_readings_by(posterior, held, y, rng, [by])[0]
+
+
+def predict_readings_by(
+    posterior: CalibrationPosterior,
+    held: CalibrationLikelihood,
+    y: Array,
+    rng: np.random.Generator,
+    choices: Sequence[np.ndarray | None],
+) -> list[ReadingPredictions]:
+    """Return what `predict_readings` does by each choice of channels, from the same places and common errors."""
+    groups = [_list_groups(held, len(y), by) for by in choices]
+    every, common = [one for own in groups for one in own], np.zeros((len(y), *held.data.sd.shape))
+    if every and posterior.errors.has_columns:
         common = posterior.likelihood.draw_common(*posterior.at(y), rng).at(held.data, held.error_gain)
-    groups: dict[bytes, list[int]] = {}
+    for part in held.batches(len(y)) if every else ():
+        standing = _Standing.find(posterior, held, y[part])
+        for one in every:
+            one.predict(part, posterior, standing, common[part], rng)
+    return [_collect(held, own) for own in groups]
+
+
+@dataclass(eq=False)
+class _Group:
+    """C channels of held-back poses that the same others predict."""
+
+    held: CalibrationLikelihood
+    channels: list[int]
+    others: np.ndarray  # (K,)
+    mean: Array  # with the spread, (T, P, C)
+    spread: Array
+    going: np.ndarray  # (P,): where no machine has failed so far
+
+    def predict(
+        self,
+        part: slice,
+        posterior: CalibrationPosterior,
+        standing: _Standing,
+        common: Array,
+        rng: np.random.Generator,
+    ) -> None:
+        """Predict by some of the draws; common errors by draws (T, P, K)."""
+        where = np.flatnonzero(self.going)
+        if not len(where):
+            return
+        mean, spread = _predict(posterior, standing.pick(where), self.channels, self.others, common[:, where], rng)
+        self.mean[part, where], self.spread[part, where] = mean, spread
+        # a reading that one machine does not predict is lost: no other needs to try
+        self.going[where] = np.isfinite(spread).any(axis=2).all(axis=0)
+
+    def list_parts(self) -> list[tuple[np.ndarray, int, Array, Array]]:
+        """Return of each channel at which poses (n,) it is predicted, with means and noisy values (T, n)."""
+        found = []
+        for k, channel in enumerate(self.channels):
+            where = np.flatnonzero(self.held.data.present[:, channel] & self._is_known(k))
+            if len(where):
+                found.append((where, channel, self.mean[:, where, k], self.spread[:, where, k]))
+        return found
+
+    def list_lost(self) -> list[tuple[int, int, str]]:
+        """Return pose, channel and reason of each reading that is not predicted."""
+        there, q = self.held.data.present[:, self.others].sum(axis=1), len(self.held.model.coordinates)
+        lost = []
+        for k, channel in enumerate(self.channels):
+            for pose in np.flatnonzero(self.held.data.present[:, channel] & ~self._is_known(k)):
+                few = there[pose] < q
+                reason = f"{there[pose]} other readings for {q} coordinates" if few else NOT_DETERMINED
+                lost.append((int(pose), channel, reason))
+        return lost
+
+    def _is_known(self, k: int) -> np.ndarray:
+        """Return at which poses every draw predicts the k-th channel, shape (P,)."""
+        return np.asarray(np.isfinite(self.mean[..., k] + self.spread[..., k]).all(axis=0))
+
+
+def _list_groups(held: CalibrationLikelihood, n_draws: int, by: np.ndarray | None) -> list[_Group]:
+    """Return the channels that are predicted, each by all others or by a mask (K,), for so many draws."""
+    predicted = held.data.present.any(axis=0) & (True if by is None else ~by)
+    channels: dict[bytes, list[int]] = {}
     for place in np.flatnonzero(predicted):
         others = _apart(held, int(place)) & (True if by is None else by)
-        groups.setdefault(others.tobytes(), []).append(int(place))
-    mean, spread = np.full((2, len(y), *held.data.values.shape), np.nan)
-    going = {key: _is_predicted(held, channels, np.frombuffer(key, dtype=bool)) for key, channels in groups.items()}
-    for part in held.batches(len(y)):
-        standing = _Standing.find(posterior, held, y[part])
-        for key, channels in groups.items():
-            others, where = np.frombuffer(key, dtype=bool), np.flatnonzero(going[key])
-            if len(where):
-                predicted_there = _predict(
-                    posterior, standing.pick(where), channels, others, common[part][:, where], rng
-                )
-                at = np.ix_(range(len(y))[part], where, channels)
-                mean[at], spread[at] = predicted_there
-                # a reading that one machine does not predict is lost: no other needs to try
-                going[key][where] = np.isfinite(spread[at]).any(axis=2).all(axis=0)
-    for key, channels in groups.items():
-        others = np.frombuffer(key, dtype=bool)
-        there, determined = held.data.present[:, others].sum(axis=1), _is_predicted(held, channels, others)
-        for channel in channels:
-            here = held.data.present[:, channel]
-            known = np.isfinite(mean[..., channel] + spread[..., channel]).all(axis=0)
-            lost += [
-                (int(k), channel, f"{there[k]} other readings for {q} coordinates")
-                for k in np.flatnonzero(here & ~determined)
-            ]
-            lost += [(int(k), channel, NOT_DETERMINED) for k in np.flatnonzero(here & determined & ~known)]
-            found = np.flatnonzero(here & determined & known)
-            if len(found):
-                parts.append((found, channel, mean[:, found, channel], spread[:, found, channel]))
-    return replace(_collect(held, parts), lost=tuple(lost))
+        channels.setdefault(others.tobytes(), []).append(int(place))
+    groups = []
+    for key, own in channels.items():
+        others, shape = np.frombuffer(key, dtype=bool), (n_draws, held.data.n_poses, len(own))
+        mean, spread = np.full((2, *shape), np.nan)
+        groups.append(_Group(held, own, others, mean, spread, _is_predicted(held, own, others)))
+    return groups
 
 
 def _is_predicted(held: CalibrationLikelihood, channels: Sequence[int], others: np.ndarray) -> np.ndarray:
@@ -234,7 +284,8 @@ def replicate_readings(
             at = likelihood.stand(theta, white)
             places = at.pose + wider * _draw_poses(at.slope, rng)
             if errors.has_columns:
-                common = posterior.likelihood.draw_common(*posterior.at(own), rng).at(data, likelihood.error_gain)
+                drawn = likelihood.draw_common(*posterior.at(own), rng, (white, at))
+                common = drawn.at(data, likelihood.error_gain)
                 places -= find_step(at.slope, white.vector(np.where(data.present, common, 0.0)))[0]
         else:
             places = np.broadcast_to(pose, (len(theta), *pose.shape))
@@ -361,16 +412,19 @@ def _spread_of_pose(slope: Array, at: PoseEstimate) -> Array:
     return np.where(told, np.einsum("tpi,tpij,tpj->tp", slope, inner, slope), np.nan)
 
 
-def _collect(held: CalibrationLikelihood, parts: list[tuple[np.ndarray, int, Array, Array]]) -> ReadingPredictions:
+def _collect(held: CalibrationLikelihood, groups: Sequence[_Group]) -> ReadingPredictions:
+    lost = tuple(one for group in groups for one in group.list_lost())
+    parts = [part for group in groups for part in group.list_parts()]
     if not parts:
         none, nothing = np.empty(0, dtype=int), np.empty(0)
-        return ReadingPredictions(none, none, nothing, nothing, nothing, nothing, nothing)
+        return ReadingPredictions(none, none, nothing, nothing, nothing, nothing, nothing, lost)
     pose = np.concatenate([where for where, *_ in parts])
     channel = np.concatenate([np.full(len(where), k) for where, k, *_ in parts])
     draws = np.concatenate([spread for *_, spread in parts], axis=1)
     low, high = np.quantile(draws, [0.5 - INTERVAL / 2, 0.5 + INTERVAL / 2], axis=0)
     centre = np.concatenate([mean.mean(axis=0) for _, _, mean, _ in parts])
-    return ReadingPredictions(pose, channel, held.data.values[pose, channel], centre, draws.std(axis=0), low, high)
+    measured = held.data.values[pose, channel]
+    return ReadingPredictions(pose, channel, measured, centre, draws.std(axis=0), low, high, lost)
 
 
 # --- simulated readings ------------------------------------------------------------------------------------------

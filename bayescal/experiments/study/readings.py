@@ -18,7 +18,7 @@ from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.prediction import (
     ReadingPredictions,
     predict_poses,
-    predict_readings,
+    predict_readings_by,
     replicate_readings,
 )
 from bayescal.density.prediction import Prediction, compute_elpd
@@ -423,7 +423,7 @@ def split_verification(
     held = list_folds(inputs, variant)[fold]
     effort = inputs.config.validation.draws
     seeds = np.random.SeedSequence([inputs.config.seed, 7, fold, zlib.crc32(variant.name.encode())])
-    first, second, third = seeds.spawn(3)
+    first, second = seeds.spawn(2)
     rng = np.random.default_rng(second)
     efficiency, pareto_k = 1.0, float("nan")
     if known is None:
@@ -437,8 +437,7 @@ def split_verification(
     likelihood = variant.likelihood(held)
     with np.errstate(all="ignore"):
         elpd = compute_elpd(posterior.predict_density(likelihood, y))
-        predictions = predict_readings(posterior, likelihood, y, rng)
-        tool = predict_readings(posterior, likelihood, y, np.random.default_rng(third), variant.internal)
+        predictions, tool = predict_readings_by(posterior, likelihood, y, rng, [None, variant.internal])
     return FoldPrediction(np.flatnonzero(held), elpd, efficiency, pareto_k, predictions, tool)
 
 
