@@ -162,10 +162,12 @@ def correct(
     n_first = min(max(n_weights // 2, per_coordinate * n), len(draws) // 2)
     labels, which = np.unique(modes, return_inverse=True)
     centred = draws - np.stack([draws[which == k].mean(axis=0) for k in range(len(labels))])[which]
-    excess = density.excess(draws[:n_first])
-    found = [_summarise(Move(np.zeros(n), np.zeros(n), np.eye(n)), excess)]
-    if found[0].is_known_to(enough):
-        return found[0]
+    excess, stays = np.empty(0), Move(np.zeros(n), np.zeros(n), np.eye(n))
+    for part in np.split(draws[:n_first], range(BLOCK, n_first, BLOCK)) if enough else [draws[:n_first]]:
+        excess = np.concatenate([excess, density.excess(part)])
+        found = [_summarise(stays, excess)]
+        if found[0].is_known_to(enough):
+            return found[0]
     move = _fit_move(density, draws.mean(axis=0), centred[:n_first], excess, covariance, bool(np.ptp(modes)))
     for start in range(n_first, min(n_first + ROUNDS * n_weights, len(draws)), n_weights):
         log_weights = _weigh(density, move, draws[start : start + n_weights], enough)
@@ -181,12 +183,40 @@ def correct(
     return best
 
 
-def weigh_moved(density: CostlyDensity, move: Move, draws: Array, enough: float) -> Correction:
-    """Return what draws (B, n) of the explored density, moved by a map, say of the costly one.
+def weigh_beside(
+    densities: tuple[CostlyDensity, CostlyDensity],
+    moves: tuple[Move, Move],
+    known: Correction,
+    draws: Array,
+    enough: float,
+) -> Correction:
+    """Return the correction to the second of two densities from that to the first, by the same draws of both.
 
-    No more of them are weighed than are enough for a standard error of the log-ratio.
+    The ratio of both means has a far smaller error than either, as their weights differ little.
+
+    Parameters
+    ----------
+    densities, moves
+        Densities beside the explored one, with the maps to them.
+    known : Correction
+        To the first.
+    draws : ndarray, shape (B, n)
+        Of the explored density. No more of them are weighed than are enough.
+    enough : float
+        Standard error of the ratio of both, in nats.
     """
-    return _summarise(move, _weigh(density, move, draws[:WEIGHED], enough))
+    weights, error = np.empty((2, 0)), np.inf
+    while weights.shape[1] < min(WEIGHED, len(draws)) and not 0.0 < error <= enough:
+        block = draws[weights.shape[1] : weights.shape[1] + BLOCK]
+        more = [density.weigh(move, block) for density, move in zip(densities, moves, strict=True)]
+        weights = np.concatenate([weights, more], axis=1)
+        means = logsumexp(weights, axis=1) - np.log(weights.shape[1])
+        with np.errstate(invalid="ignore"):
+            first, second = np.exp(weights - means[:, None])
+        error = float(np.std(second - first, ddof=1) / np.sqrt(weights.shape[1]))
+    own = _summarise(moves[1], weights[1])
+    log_ratio = known.log_ratio + float(means[1] - means[0])
+    return replace(own, log_ratio=log_ratio, standard_error=float(np.hypot(known.standard_error, error)))
 
 
 def _weigh(density: CostlyDensity, move: Move, draws: Array, enough: float) -> Array:

@@ -4,14 +4,18 @@ With p the posterior explored, of likelihood L and prior π, and π' another pri
 moves have the weights L(T x) π'(T x) |T| / p(x), whose mean is the ratio of the evidences
 (`bayescal.inference.correction`). T takes the normal nearest to p to the one that π' makes of it. Where the weights of
 the moved draws have a heavy tail or a large scatter no such map is known, and the posterior under π' has to be explored
-by itself. Wider priors may give mass to modes that no draw of p is near: that is for whoever asks to look for.
+by itself. Wider priors may give mass to modes that no draw of p is near: these are looked for, and add what Laplace's
+approximation has for them, half of which counts as an error.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bayescal.density.priors import Prior
 from bayescal.errors import NumericalError
@@ -20,10 +24,11 @@ from bayescal.inference.correction import (
     CostlyDensity,
     correct,
     draw_to_correct,
-    weigh_moved,
+    weigh_beside,
 )
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence, LogDensity, difference_twice
+from bayescal.inference.mode import find_modes
 from bayescal.inference.target import LogPosterior
 from bayescal.numerics.geometry import Array
 
@@ -62,14 +67,21 @@ def weigh_other_priors(
     for factor, other in others.items():
         try:
             moved = _weigh(found, drawn, other, costly, correction)
+            if not moved.is_known_to(ROUGH_SCATTER):
+                continue
+            more = _weigh_further_modes(other, len(found.modes)) if factor > 1.0 else 0.0
         except (NumericalError, np.linalg.LinAlgError):
             continue
-        if moved.is_known_to(ROUGH_SCATTER):
-            error = float(np.hypot(own.standard_error, moved.standard_error))
-            result[factor] = ImportanceEvidence(
-                own.log_evidence + moved.log_ratio, error, moved.efficiency, moved.pareto_k, moved.n_draws
-            )
+        error = math.hypot(own.standard_error, moved.standard_error, 0.5 * more)
+        log_evidence = own.log_evidence + moved.log_ratio + more
+        result[factor] = ImportanceEvidence(log_evidence, error, moved.efficiency, moved.pareto_k, moved.n_draws)
     return result
+
+
+def _weigh_further_modes(posterior: LogPosterior, n_known: int) -> float:
+    """Return what modes beyond so many add to the log-evidence, by Laplace's approximation."""
+    masses = [mode.log_evidence for mode in find_modes(posterior)]
+    return float(logsumexp(masses) - logsumexp(masses[:n_known]))
 
 
 def _weigh(
@@ -85,9 +97,10 @@ def _weigh(
     moved = correct(CostlyDensity(density, ratio, information), *drawn, WEIGHED)
     if costly is None or correction is None or not moved.is_known_to(ROUGH_SCATTER):
         return moved
-    whole = CostlyDensity(density, lambda x: ratio(x) + costly.excess(x), information)
-    enough = max(SCATTER, moved.standard_error)
-    return weigh_moved(whole, moved.move.then(correction.move), drawn[0], enough)
+    fast = CostlyDensity(density, ratio, information)
+    whole = replace(fast, excess=lambda x: ratio(x) + costly.excess(x))
+    moves = moved.move, moved.move.then(correction.move)
+    return weigh_beside((fast, whole), moves, moved, drawn[0], 0.5 * SCATTER)
 
 
 def _compare_priors(found: Exploration, other: LogPosterior) -> LogDensity:

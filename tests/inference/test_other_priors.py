@@ -10,6 +10,7 @@ from calibration_problems import lines_posterior, unknown_noise
 
 from bayescal.density.priors import NormalPrior, UniformPrior
 from bayescal.inference.exploration import explore, weigh_proposal
+from bayescal.inference.mode import find_modes
 from bayescal.inference.other_priors import weigh_other_priors
 from bayescal.inference.schema import EvidenceConfig
 
@@ -70,3 +71,17 @@ def test_moved_draws_follow_priors_that_move_the_posterior_far(rng):
     error = np.hypot(evidence.standard_error, expected.standard_error)
     assert abs(evidence.log_evidence - expected.log_evidence) < 4.0 * error
     assert abs(expected.log_evidence - own.log_evidence) > 1000.0 * error
+
+
+def test_modes_that_wider_priors_add_count_by_laplace_with_half_of_it_for_an_error(rng, monkeypatch):
+    posterior, _, _ = lines_posterior(rng)
+    found, own = weigh(posterior, 1)
+    others, modes = {2.0: widen(posterior, 2.0)}, find_modes(widen(posterior, 2.0))
+    before = weigh_other_priors(found, own, others, np.random.SeedSequence(1))[2.0]
+    assert len(found.modes) == len(modes) == 1
+    fainter = replace(modes[0], log_density=modes[0].log_density - 1.0)
+    monkeypatch.setattr("bayescal.inference.other_priors.find_modes", lambda posterior: [modes[0], fainter])
+    after = weigh_other_priors(found, own, others, np.random.SeedSequence(1))[2.0]
+    more = np.log1p(np.exp(-1.0))
+    assert after.log_evidence - before.log_evidence == pytest.approx(more)
+    assert after.standard_error == pytest.approx(np.hypot(before.standard_error, 0.5 * more))

@@ -3,14 +3,14 @@
 Most evidences follow from the fit's own draws (`bayescal.inference.other_priors`); a posterior that these do not reach
 is explored by itself. Only its evidence is wanted, to a few hundredths of a nat, or to a few tenths where a variant is
 out of the question: a proposal need not be sharp. Narrower priors have no modes that wider ones about the same centres
-lack, so that these start where the study's own priors have theirs; with wider ones others are searched for.
+lack, so that searches start where the study's own priors have theirs; with wider ones others are looked for.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,8 +60,7 @@ class WidthTask:
 
     ``modes`` (M, n) are those with the study's own priors, in sampling coordinates; ``behind`` is by how many nats of
     log-evidence the variant is behind the best then. ``is_hard`` is whether too few draws count for that evidence,
-    or its error is not to be trusted. ``moved`` is the evidence by the fit's own draws, which holds unless wider priors
-    have modes of their own.
+    or its error is not to be trusted.
     """
 
     variant: str
@@ -69,7 +68,6 @@ class WidthTask:
     modes: Array
     behind: float = 0.0
     is_hard: bool = False
-    moved: ImportanceEvidence | None = None
 
     @property
     def key(self) -> str:
@@ -81,11 +79,6 @@ class WidthTask:
         """Whether the variant is out of the question, so that a rough evidence will do."""
         return self.behind > OUT_OF_QUESTION
 
-    @property
-    def is_done(self) -> bool:
-        """Whether the fit's own draws are enough, and no other mode need be looked for."""
-        return self.moved is not None and self.factor < 1.0
-
     def list_efficiencies(self) -> tuple[float, ...]:
         """Return the efficiencies from which on a proposal is not sharpened, of one try after the other."""
         if self.is_hard:
@@ -93,23 +86,37 @@ class WidthTask:
         return (ROUGHLY_ACCEPTABLE, ACCEPTABLE) if self.is_rough else (ACCEPTABLE, GOOD_ENOUGH)
 
 
-def list_width_tasks(fits: Mapping[str, Fit], factors: Sequence[float]) -> list[WidthTask]:
-    """Return a task for every variant and every factor but one.
+def find_known(fits: Mapping[str, Fit], factors: Sequence[float]) -> dict[tuple[float, str], ImportanceEvidence]:
+    """Return the evidences by factor and variant that the fits' own draws tell well enough."""
+    best, known = _find_best(fits), {}
+    for name, fit in fits.items():
+        own, is_rough = fit.importance, best - rank_evidence(fit.importance.log_evidence) > OUT_OF_QUESTION
+        enough = ROUGH_ERROR if is_rough else math.hypot(own.standard_error, SCATTER)
+        for factor, found in fit.widths.items():
+            if factor in factors and found.standard_error <= enough:
+                known[factor, name] = found
+    return known
+
+
+def list_width_tasks(
+    fits: Mapping[str, Fit], factors: Sequence[float], known: Collection[tuple[float, str]] = ()
+) -> list[WidthTask]:
+    """Return a task for every variant and every factor but one, of which the evidence is not known.
 
     The long ones, of many modes and wide priors, come first: a worker that begins one last keeps all others waiting.
     """
-    best = max(rank_evidence(fit.importance.log_evidence) for fit in fits.values())
-    tasks = []
+    best, tasks = _find_best(fits), []
     for factor in (factor for factor in factors if factor != 1.0):
         for name, fit in fits.items():
-            own, moved = fit.importance, fit.widths.get(factor)
-            behind = best - rank_evidence(own.log_evidence)
-            enough = ROUGH_ERROR if behind > OUT_OF_QUESTION else math.hypot(own.standard_error, SCATTER)
-            if moved is not None and moved.standard_error > enough:
-                moved = None
-            is_hard = own.is_doubtful or own.efficiency < ACCEPTABLE
-            tasks.append(WidthTask(name, factor, fit.modes, behind, is_hard, moved))
+            if (factor, name) not in known:
+                own, behind = fit.importance, best - rank_evidence(fit.importance.log_evidence)
+                is_hard = own.is_doubtful or own.efficiency < ACCEPTABLE
+                tasks.append(WidthTask(name, factor, fit.modes, behind, is_hard))
     return sorted(tasks, key=lambda task: (-len(task.modes), -task.factor))
+
+
+def _find_best(fits: Mapping[str, Fit]) -> float:
+    return max(rank_evidence(fit.importance.log_evidence) for fit in fits.values())
 
 
 def begin_widths(
@@ -119,9 +126,9 @@ def begin_widths(
 
     They are by factor and variant.
     """
-    tasks = list_width_tasks(fits, inputs.config.sensitivity.prior_width_factors)
-    known = {(task.factor, task.variant): task.moved for task in tasks if task.is_done and task.moved is not None}
-    left = {task.key: task for task in tasks if not task.is_done}
+    factors = inputs.config.sensitivity.prior_width_factors
+    known = find_known(fits, factors)
+    left = {task.key: task for task in list_width_tasks(fits, factors, known)}
     if not left or inputs.config.sampler.is_preliminary:
         return lambda: known
     wait = run.begin("prior widths", weigh_widths, inputs, left, (ImportanceEvidence,), spare=True)
@@ -133,11 +140,7 @@ def weigh_widths(inputs: StudyInputs, task: WidthTask) -> ImportanceEvidence:
     config, variant = inputs.config, inputs.variants[task.variant]
     seeds = np.random.SeedSequence([config.seed, zlib.crc32(task.key.encode())]).spawn(3)
     subject, known = ReadingSubject(variant.posterior(factor=task.factor).with_pose_guesses()), variant.posterior()
-    others: list[Mode] = []
-    if task.factor > 1.0 and (task.moved is not None or not task.is_hard):
-        others = find_modes(subject.posterior)
-        if task.moved is not None and len(others) <= len(task.modes):
-            return task.moved
+    others = find_modes(subject.posterior) if task.factor > 1.0 and not task.is_hard else []
     starts = subject.posterior.to_coordinates(known.theta(task.modes), task.modes[:, known.n_geometry :])
     draws = min(FEW_DRAWS if task.is_rough else DRAWS, config.evidence.draws)
     error = max(ROUGH_ERROR if task.is_rough else ERROR, config.evidence.tolerance_nat)

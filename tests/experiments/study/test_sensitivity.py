@@ -16,6 +16,7 @@ from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.prior_widths import (
     WidthTask,
     begin_widths,
+    find_known,
     list_width_tasks,
     tabulate_widths,
     weigh_widths,
@@ -100,21 +101,22 @@ def test_widths_of_a_fit_whose_draws_hardly_count_are_hard(tmp_path, efficiency,
 
 
 @pytest.mark.parametrize(
-    ("behind", "factor", "error", "is_done"),
-    [(0.0, 0.5, 0.03, True), (0.0, 2.0, 0.03, False), (0.0, 0.5, 0.2, False), (90.0, 0.5, 0.2, True)],
+    ("behind", "error", "is_enough"), [(0.0, 0.03, True), (0.0, 0.2, False), (90.0, 0.2, True), (90.0, 0.4, False)]
 )
-def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, factor, error, is_done):
-    """Wider priors may have other modes, whatever draws say; of a variant out of the question a rough error does."""
+def test_moved_draws_are_enough_by_what_is_wanted(tmp_path, behind, error, is_enough):
+    """Of a variant out of the question a rough error does."""
     first, second = load(tmp_path).variants
     moved = ImportanceEvidence(1.0, error, 0.5, 0.2, 500)
     fits = {
         name: SimpleNamespace(
-            modes=np.zeros((1, 2)), widths={factor: moved}, importance=ImportanceEvidence(own, 0.01, 0.5, 0.1, 1000)
+            modes=np.zeros((1, 2)), widths={0.5: moved}, importance=ImportanceEvidence(own, 0.01, 0.5, 0.1, 1000)
         )
         for name, own in ((first, 7.0), (second, 7.0 - behind))
     }
-    tasks = {task.variant: task for task in list_width_tasks(fits, [factor])}
-    assert tasks[second].is_done is is_done
+    known = find_known(fits, [1.0, 0.5])
+    assert ((0.5, second) in known) is is_enough
+    assert (second in {task.variant for task in list_width_tasks(fits, [1.0, 0.5], known)}) is not is_enough
+    assert not find_known(fits, [1.0, 0.7])
 
 
 @pytest.mark.parametrize(
