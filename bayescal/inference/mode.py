@@ -77,8 +77,25 @@ def find_modes(posterior: LogDensity, rng: np.random.Generator | None = None) ->
     if rng is not None and (found := _climb_scattered(climber, [best, *others], first, rng)):
         best, others = _follow_jumps(climber, max([best, *found], key=lambda climb: climb[1]), [best, *others, *found])
         first = _characterise(posterior, *best)
-    worth = [other for other in others if other[1] > best[1] - 2 * WORTH_KEEPING]
-    modes = [_characterise(posterior, *other) for other in worth]
+    return _characterise_all(climber, first, others)
+
+
+def find_more_modes(posterior: LogDensity, n_known: int) -> list[Mode]:
+    """Return what `find_modes` does where climbs end at more than so many places, else none."""
+    climber = NewtonSearch(posterior)
+    best, others = _follow_jumps(climber, _climb(posterior, posterior.least_squares_start()))
+    if len(_list_worth(best[1], others)) < n_known:
+        return []
+    return _characterise_all(climber, _characterise(posterior, *best), others)
+
+
+def _list_worth(best: float, others: Sequence[Climb]) -> list[Climb]:
+    return [other for other in others if other[1] > best - 2 * WORTH_KEEPING]
+
+
+def _characterise_all(climber: NewtonSearch, first: Mode, others: Sequence[Climb]) -> list[Mode]:
+    """Return the best mode, those of the climbs that end elsewhere and hold mass, and combinations of their jumps."""
+    modes = [_characterise(climber.posterior, *other) for other in _list_worth(first.log_density, others)]
     modes = [m for m in modes if m.converged and m.log_evidence > first.log_evidence - WORTH_KEEPING]
     return [first, *modes, *_combine(climber, first, modes)]
 

@@ -28,7 +28,7 @@ from bayescal.inference.correction import (
 )
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence, LogDensity, difference_twice
-from bayescal.inference.mode import find_modes
+from bayescal.inference.mode import find_more_modes
 from bayescal.inference.target import LogPosterior
 from bayescal.numerics.geometry import Array
 
@@ -80,8 +80,8 @@ def weigh_other_priors(
 
 def _weigh_further_modes(posterior: LogPosterior, n_known: int) -> float:
     """Return what modes beyond so many add to the log-evidence, by Laplace's approximation."""
-    masses = [mode.log_evidence for mode in find_modes(posterior)]
-    return float(logsumexp(masses) - logsumexp(masses[:n_known]))
+    masses = [mode.log_evidence for mode in find_more_modes(posterior, n_known)]
+    return float(logsumexp(masses) - logsumexp(masses[:n_known])) if masses else 0.0
 
 
 def _weigh(
@@ -100,7 +100,8 @@ def _weigh(
     fast = CostlyDensity(density, ratio, information)
     whole = replace(fast, excess=lambda x: ratio(x) + costly.excess(x))
     moves = moved.move, moved.move.then(correction.move)
-    return weigh_beside((fast, whole), moves, moved, drawn[0], 0.5 * SCATTER)
+    enough = math.sqrt(max(SCATTER**2 - moved.standard_error**2, (SCATTER / 4) ** 2))
+    return weigh_beside((fast, whole), moves, moved, drawn[0], enough)
 
 
 def _compare_priors(found: Exploration, other: LogPosterior) -> LogDensity:

@@ -80,7 +80,7 @@ def test_modes_that_wider_priors_add_count_by_laplace_with_half_of_it_for_an_err
     before = weigh_other_priors(found, own, others, np.random.SeedSequence(1))[2.0]
     assert len(found.modes) == len(modes) == 1
     fainter = replace(modes[0], log_density=modes[0].log_density - 1.0)
-    monkeypatch.setattr("bayescal.inference.other_priors.find_modes", lambda posterior: [modes[0], fainter])
+    monkeypatch.setattr("bayescal.inference.other_priors.find_more_modes", lambda *_: [modes[0], fainter])
     after = weigh_other_priors(found, own, others, np.random.SeedSequence(1))[2.0]
     more = np.log1p(np.exp(-1.0))
     assert after.log_evidence - before.log_evidence == pytest.approx(more)

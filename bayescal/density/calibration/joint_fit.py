@@ -65,10 +65,13 @@ class JointFit:
             raise NumericalError("found no reading at some start")
         for _ in range(MAX_ITERATIONS):
             move, follow = self._propose(y, *here, columns[0], residual, damping)
-            other = y + move
-            stood = self._settle(other, white, columns, pose + follow, damping)
+            other, stood = y + move, pose + follow
             there = self._rows(other, white, stood)
             rest, new = self._cost(other, there[0], columns)
+            if not new < cost + GAIN * max(cost, 1.0):  # the straight way of poses ends off what the machine reads
+                stood = self._settle(there, rest, stood, damping)
+                there = self._rows(other, white, stood)
+                rest, new = self._cost(other, there[0], columns)
             done = abs(cost - new) < GAIN * max(cost, 1.0)
             if not new < cost:
                 still = (done and damping <= DAMPING) or np.max(np.abs(move), initial=0.0) < MIN_STEP
@@ -85,11 +88,10 @@ class JointFit:
         theta = self.sampling.theta_from_y(y[None])[0]
         return self.likelihood.rows(theta, self.sampling.jacobian(theta), white, pose)
 
-    def _settle(self, y: Array, white: Whitening, columns: Array, pose: Array, damping: float) -> Array:
-        """Return poses (1, P, q) moved to what a machine y (m,) reads: a constraint lets a straight step go no way."""
-        error, slope, _ = self.likelihood.linearise(self.sampling.theta_from_y(y[None]), pose, white)
-        residual, _ = self._cost(y, error[0], columns)
-        return np.asarray(pose + left_of(invert(slope[0], 1e-9 * damping / DAMPING), residual))
+    @staticmethod
+    def _settle(rows: tuple[Array, Array, Array], residual: Array, pose: Array, damping: float) -> Array:
+        """Return poses (1, P, q) a step on from those of some rows, by what these leave, (P, K)."""
+        return np.asarray(pose + left_of(invert(rows[1], 1e-9 * damping / DAMPING), residual))
 
     def _cost(self, y: Array, error: Array, columns: Array) -> tuple[Array, float]:
         """Return white errors (P, K) without what the best coefficients explain, and what all squares sum up to."""

@@ -462,7 +462,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         if frozen is None and lone is not None and (errors.has_factors or not whole):
             frozen = FixedCovarianceRows.build(found, errors, theta, single=True)
             lone = None if frozen is None else lone
-        fast = replace(found, frozen=frozen, lone=lone)
+        fast = replace(found, frozen=frozen, lone=lone, begin=theta)
         off = fast._find_roughness(every, errors)
         if lone is not None and lone.is_own and off > GOOD:  # slopes whose scale changes, or poses that go far
             other = replace(fast, lone=lone.followed)
