@@ -82,6 +82,8 @@ def _sign(value: Array, least: float) -> Array:
 
 STEP_TOLERANCE = 1e-10
 MOST_STEPS = 30  # of Newton's method
+LARGEST_STEP = 20.0  # mm, of actuators
+FAST = 0.01  # of the last step, up to which the next one takes slopes as they were
 START_WITHIN_MM = 5.0  # mm, within which a reading of an actuator is where to look for it
 SINGULAR_CONDITION = 1e8
 LEVEL = 1e-3  # of a leg's direction along z, below which it is level
@@ -312,16 +314,24 @@ def solve_inverse_kinematics(
             actuators = np.where(np.abs(near - actuators) < START_WITHIN_MM, near, actuators)
         actuators = np.broadcast_to(np.where(np.isfinite(actuators), actuators, initial), shape)
         closure, gain = machine.model.prepare(layout, theta), machine.actuator_gain(theta)
-        before: Array | float = 0.0
+        before: Array | None = None
+        jacobian: Array | None = None
         for _ in range(MOST_STEPS):
             basis = replace(machine.basis(actuators), actuator_gain=gain)
-            here = closure(position, rotation, basis, with_parameters=False)
-            step, gap = _actuator_step(here), here.residual
+            alone = None if jacobian is None else machine.model.close(closure, position, rotation, basis)
+            if jacobian is None or alone is None:
+                here = closure(position, rotation, basis, with_parameters=False)
+                gap, jacobian = here.residual, here.actuators
+            else:
+                gap = alone
+            step = _actuator_step(gap, jacobian)
             actuators, size = actuators + step, np.abs(step).max(axis=-1)
             # steps shrink at least as fast as the last two did: by how much the next one would move
-            left = np.minimum(size, size**2 / np.maximum(before, STEP_TOLERANCE))
+            left = size if before is None else np.minimum(size, size**2 / np.maximum(before, STEP_TOLERANCE))
             if not np.any(left >= STEP_TOLERANCE):
                 break
+            if before is not None and np.any(size > FAST * before):
+                jacobian = None  # where slopes stay as they were steps hardly shrink
             before = size
         converged = left < STEP_TOLERANCE
     if check and not converged.all():
@@ -356,16 +366,19 @@ def _place_actuators(machine: Machine, theta: Array, position: Array, rotation: 
     return actuators, False
 
 
-def _actuator_step(here: Linearisation) -> Array:
-    """Return the Newton step (..., N), bounded; NaN for a pose with a leg that has none, as across its guide."""
-    good, identity = np.isfinite(here.residual).all(axis=-1), np.eye(here.actuators.shape[-1])
-    jacobian, residual = np.where(good[..., None, None], here.actuators, identity), here.residual[..., None]
+def _actuator_step(gap: Array, jacobian: Array) -> Array:
+    """Return the Newton step (..., N) by f and its derivative by the actuators, bounded.
+
+    NaN for a pose with a leg that has none, as across its guide.
+    """
+    good, identity = np.isfinite(gap).all(axis=-1), np.eye(gap.shape[-1])
+    by_actuators, residual = np.where(good[..., None, None], jacobian, identity), gap[..., None]
     try:
-        step = -np.linalg.solve(jacobian, residual)[..., 0]
+        step = -np.linalg.solve(by_actuators, residual)[..., 0]
     except np.linalg.LinAlgError:
-        good &= np.linalg.det(jacobian) != 0.0
-        step = -np.linalg.solve(np.where(good[..., None, None], jacobian, identity), residual)[..., 0]
-    return np.where(good[..., None], np.clip(step, -20.0, 20.0), np.nan)
+        good &= np.linalg.det(by_actuators) != 0.0
+        step = -np.linalg.solve(np.where(good[..., None, None], by_actuators, identity), residual)[..., 0]
+    return np.where(good[..., None], np.clip(step, -LARGEST_STEP, LARGEST_STEP), np.nan)
 
 
 def check_home_pose(machine: Machine) -> ForwardKinematics:

@@ -123,6 +123,14 @@ class KinematicModel(ABC):
         """Return the closure and its derivatives, arguments as in `prepare` and `Closure`."""
         return self.prepare(layout, theta)(position, rotation, basis)
 
+    def close(self, closure: Closure, position: Array, rotation: Array, basis: DeformationBasis) -> Array | None:
+        """Return f alone, shape (..., N), of a closure that `prepare` returned; arguments as in `Closure`.
+
+        None where derivatives by pose and actuators cost next to nothing beside.
+        """
+        del closure, position, rotation, basis
+        return None
+
     @abstractmethod
     def bind(self, layout: ParameterLayout, position: Array, rotation: Array, basis: DeformationBasis) -> BoundClosure:
         """Return the closure bound to poses (P, 3), (P, 3, 3) for repeated evaluation over batches of parameters."""

@@ -284,12 +284,8 @@ class Equilibrium:
         self, position: Array, rotation: Array, basis: DeformationBasis, with_parameters: bool = True
     ) -> Linearisation:
         """Return Q W and its exact derivatives; see `Closure` for shapes and frames."""
-        legs = compute_leg_vectors(self.layout, self.theta, position, rotation, basis)
-        state = self.state(legs, self._home.legs, self._values["l"])
-        phi, to_rows = compute_turn(rotation, self._home.rotation), self.to_elongation.T
-        loads = LegLoads(self._chain, state, phi[..., None, :])
-        external, by_rotation = self.load(rotation)
-        external, by_rotation = self._scale * external, self._scale[..., None] * by_rotation
+        loads, phi, external, by_rotation = self._load(position, rotation, basis)
+        state, legs, to_rows = loads.state, loads.state.legs, self.to_elongation.T
         residual = (external - loads.wrench().sum(axis=-2)) @ to_rows
         rows = _take_to_rows(loads.by_state(state.changes() if with_parameters else state.by_vector()), -to_rows)
         by_vector = _covectors(rows[..., :3, :])
@@ -314,6 +310,19 @@ class Equilibrium:
         by_turn = _sum_moments(home.legs.arm, by_home) - by_phi @ np.swapaxes(left, -1, -2)
         parameters += np.concatenate([np.einsum("...nk->...k", by_home), by_turn], axis=-1) @ home.slope
         return Linearisation(residual, pose, actuators, parameters)
+
+    def close(self, position: Array, rotation: Array, basis: DeformationBasis) -> Array:
+        """Return Q W alone."""
+        loads, _, external, _ = self._load(position, rotation, basis)
+        return np.asarray((external - loads.wrench().sum(axis=-2)) @ self.to_elongation.T)
+
+    def _load(self, position: Array, rotation: Array, basis: DeformationBasis) -> tuple[LegLoads, Array, Array, Array]:
+        """Return the legs' loads, φ (..., 3), and s P_E (..., 6) with its derivative by rotations (..., 3, 6)."""
+        legs = compute_leg_vectors(self.layout, self.theta, position, rotation, basis)
+        phi = compute_turn(rotation, self._home.rotation)
+        external, by_rotation = self.load(rotation)
+        loads = LegLoads(self._chain, self.state(legs, self._home.legs, self._values["l"]), phi[..., None, :])
+        return loads, phi, self._scale * external, self._scale[..., None] * by_rotation
 
     def _stiffness_columns(self, loads: LegLoads, external: Array, by_length: Array) -> dict[str, Array]:
         """Return the derivatives by the chain's parameters, (..., 6, N) per leg or (..., 6, 1) for the machine.

@@ -325,6 +325,11 @@ class Stiffness(HomeModel):
         """Return s Q W, with the machines' home poses found."""
         return Equilibrium(layout, theta, self.to_elongation, self._reference, self.state, self._external)
 
+    def close(self, closure: Closure, position: Array, rotation: Array, basis: DeformationBasis) -> Array:
+        """Return s Q W alone; see `KinematicModel.close`."""
+        assert isinstance(closure, Equilibrium)
+        return closure.close(position, rotation, basis)
+
     def _external(self, rotation: Array) -> tuple[Array, Array]:
         """Return P_E, shape (..., 6), in N and N mm, and its derivative (..., 3, 6) by the rotation."""
         load = self.mechanism.load
