@@ -15,7 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import OptimizeResult, minimize
 
 from bayescal.errors import NumericalError
-from bayescal.inference.importance import difference_twice
+from bayescal.inference.importance import difference_twice, evaluate_in_batches
 from bayescal.inference.loose import find_information
 from bayescal.inference.scales import find_scales_mode
 from bayescal.inference.target import LogDensity
@@ -382,24 +382,32 @@ def _characterise(posterior: LogDensity, y: Array, log_density: float) -> Mode:
     factor, white = _factor_negative(posterior, y, curvature)
     converged = bool(np.sum((factor.T @ gradient) ** 2) < DECREMENT_TOLERANCE)
     mode = Mode(y, log_density, factor @ factor.T, converged)
-    return mode if white @ white < DECREMENT_TOLERANCE else _settle(posterior, mode)
+    return mode if white @ white < DECREMENT_TOLERANCE else _settle(posterior, mode, factor, white)
 
 
-def _settle(posterior: LogDensity, mode: Mode) -> Mode:
-    """Return a mode after Newton's steps by differences: of a density that is solved they are the exacter slope."""
-    factor = np.linalg.cholesky(mode.covariance)
+def _settle(posterior: LogDensity, mode: Mode, factor: Array, slope: Array) -> Mode:
+    """Return a mode after Newton's steps by differences: of a density that is solved they are the exacter slope.
+
+    ``factor`` F (n, n), F Fᵀ the covariance, with the slope (n,) along its columns.
+    """
     for _ in range(LAST_STEPS):
-        found = _differentiate(posterior, mode.y, factor)
-        if found is None:
-            return mode
-        if found[1] @ found[1] < DECREMENT_TOLERANCE:
-            return replace(mode, converged=True)
-        y = mode.y + found[0] @ found[1]
+        y = mode.y + factor @ slope
         log_density = float(posterior.log_density(y[None])[0])
         if not log_density > mode.log_density + NO_GAIN:
-            return mode
-        mode = Mode(y, log_density, mode.covariance, False)
+            break
+        mode, slope = Mode(y, log_density, mode.covariance, False), _difference_once(posterior, y, factor)
+        if not np.isfinite(slope).all():
+            break
+        if slope @ slope < DECREMENT_TOLERANCE:
+            return replace(mode, converged=True)
     return mode
+
+
+def _difference_once(posterior: LogDensity, y: Array, factor: Array) -> Array:
+    """Return the slope of the log-density at y (n,) along the columns of a factor (n, n), by differences."""
+    steps = HESSIAN_STEP * factor.T
+    ahead, behind = np.split(evaluate_in_batches(posterior.log_density, np.concatenate([y + steps, y - steps])), 2)
+    return np.asarray((ahead - behind) / (2.0 * HESSIAN_STEP))
 
 
 def _factor_negative(posterior: LogDensity, y: Array, curvature: Array) -> tuple[Array, Array]:
