@@ -61,7 +61,9 @@ def _is_fitted(posterior: CalibrationPosterior) -> bool:
     try:
         with np.errstate(all="ignore"):
             near = posterior.with_pose_guesses()
-            return bool(np.isfinite(near.log_density(near.least_squares_start()[None]))[0])
+            at = near.at(near.least_squares_start()[None])
+            # a fast form reads what the machine, far from its anchor, does not
+            return bool(np.isfinite(near.likelihood.density(*at) + near.likelihood.whole.density(*at))[0])
     except (NumericalError, np.linalg.LinAlgError):
         return False
 
