@@ -35,7 +35,7 @@ class Quantiles:
     def forward(self, eta: Array) -> tuple[Array, Array]:
         """Return u and du/dη, shapes (B, r)."""
         place = (eta + REACH) / _WIDTH
-        k = np.clip(place.astype(int), 0, N_KNOTS - 2)
+        k = np.clip(np.nan_to_num(place), 0.0, N_KNOTS - 2.0).astype(int)
         low, rise, start, end = self._pieces(k)
         part = np.clip(place - k, 0.0, 1.0)
         both = part * (1.0 - part)
