@@ -183,7 +183,7 @@ def correct(
     return best
 
 
-def weigh_beside(
+def weigh_both(
     densities: tuple[CostlyDensity, CostlyDensity],
     moves: tuple[Move, Move],
     known: Correction,

@@ -24,7 +24,7 @@ from bayescal.inference.correction import (
     CostlyDensity,
     correct,
     draw_to_correct,
-    weigh_beside,
+    weigh_both,
 )
 from bayescal.inference.exploration import Exploration
 from bayescal.inference.importance import ImportanceEvidence, LogDensity, difference_twice
@@ -101,7 +101,7 @@ def _weigh(
     whole = replace(fast, excess=lambda x: ratio(x) + costly.excess(x))
     moves = moved.move, moved.move.then(correction.move)
     enough = math.sqrt(max(SCATTER**2 - moved.standard_error**2, (SCATTER / 4) ** 2))
-    return weigh_beside((fast, whole), moves, moved, drawn[0], enough)
+    return weigh_both((fast, whole), moves, moved, drawn[0], enough)
 
 
 def _compare_priors(found: Exploration, other: LogPosterior) -> LogDensity:

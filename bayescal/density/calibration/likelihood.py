@@ -183,7 +183,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         result = np.empty((len(theta), other.data.n_poses))
         for part, white, at in self._explain_in_parts(theta, errors, zeta):
             beyond = other.whiten(*other.noise(errors, zeta[part]))
-            there = other.stand(theta[part], beyond, other.approach_poses(theta[part], beyond))
+            there = other.stand(theta[part], beyond)
             for some, found in self._absorb(errors, zeta[part], white, at):
                 own = zeta[part][some]
                 columns = other.columns(errors, own, beyond.pick(some), there.slope[some])

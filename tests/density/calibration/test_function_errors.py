@@ -136,9 +136,8 @@ def test_other_poses_are_predicted_as_a_dense_normal_does(of, rng):
     known, others = (whole.pick(np.arange(N_POSES) < 6), whole.pick(np.arange(N_POSES) >= 6))
     part = replace(posterior, likelihood=known)
     both = replace(posterior, likelihood=whole.pick(np.isin(np.arange(N_POSES), [0, 1, 2, 3, 4, 5, 7])))
-    # poses are looked for from other starts: as far as a last step to first order ends alike
     np.testing.assert_allclose(
-        part.predict_density(others, y)[:, 1], both.log_density(y) - part.log_density(y), rtol=1e-6
+        part.predict_density(others, y)[:, 1], both.log_density(y) - part.log_density(y), rtol=1e-8
     )
 
 
