@@ -273,6 +273,7 @@ def verify(
     ] = None,
     noise_from: Annotated[Path | None, typer.Option(help="CSV of readings whose noise is used.")] = None,
     sensors: Annotated[list[str] | None, typer.Option(help="Channels; default all of known noise.")] = None,
+    instrument: Annotated[str | None, typer.Option(help="Table of [[data]] by its name, of several.")] = None,
     parameters: Annotated[
         list[str] | None,
         typer.Option(help="Parameters under test; default leg lengths, or all free."),
@@ -293,14 +294,14 @@ def verify(
         describe_plan,
         describe_reverification,
         expect_readings,
-        find_tracker,
         format_plan,
-        is_read_by_pose,
         lead_to_contacts,
         list_candidates,
         plan_reverification,
     )
     from bayescal.calibrated.verify.statistics import choose_suspects, judge_reverification
+    from bayescal.experiments.shared.pose_readings import find_reverification_slip
+    from bayescal.experiments.shared.readings.session_tables import find_session_tables
 
     orientation_arcsec = _choose_arcseconds(orientation_arcsec, orientation_urad)
     calibrated = options.load(results, with_instruments=True)
@@ -308,18 +309,26 @@ def verify(
         raise InputError(f"{results}: found no posterior draws, expected posterior/*.nc")
     check_out(out)
     suspects = choose_suspects(calibrated, parameters or [])
-    by_pose, tracker = is_read_by_pose(calibrated), find_tracker(calibrated)
-    stated = None
-    if by_pose or tracker is not None:
-        stated = _find_stated(results, position_um, orientation_arcsec, whole=by_pose)
+    stated = None if position_um is None else (position_um, orientation_arcsec)
+    tables = find_session_tables(results, calibrated, options.experiment, instrument, stated)
+    if tables is None and (position_um is not None or orientation_arcsec is not None):
+        raise InputError(
+            "verify: found --position-um or --orientation-arcsec, expected --noise-from: no poses are read"
+        )
+    if tables is not None and sensors is not None:
+        raise InputError("verify: found --sensors, expected none for a machine whose tool an instrument measures")
+    if (orientation_arcsec is not None) > (position_um is not None) or (
+        tables is not None and tables.instrument is None and position_um is not None and orientation_arcsec is None
+    ):
+        raise InputError("verify: expected both --position-um and --orientation-arcsec")
     if measured:
         lines, read = [], []
         for path in measured:
-            if by_pose:
-                said, session = _read_poses(path, actuators, stated, calibrated)
-                lines += said
-            elif tracker is not None:
-                session = _read_tracked(path, actuators, stated, calibrated, tracker)
+            if tables is not None:
+                poses, session = tables.read(path, actuators)
+                whole = tables.instrument is None and poses.is_whole()
+                slip = find_reverification_slip(calibrated, poses) if whole else None
+                lines += [] if slip is None else [f"{path}: {slip.say()}; results below depend on it"]
             else:
                 session = _read_readings(path, actuators, _find_noise(calibrated, noise_from, sensors), calibrated)
             read.append(session)
@@ -327,8 +336,9 @@ def verify(
             lines += describe_reverification(judge_reverification(calibrated, suspects, read, false_alarm, sessions))
         put("".join(f"{line}\n" for line in lines), out)
         return
-    if by_pose or tracker is not None:
-        planned = _plan_poses(results, stated, noise_from, calibrated, tracker)
+    if tables is not None:
+        with name_faults(results):
+            planned = tables.expect(noise_from)
     else:
         sd = _find_noise(calibrated, noise_from, sensors)
         unknown = np.flatnonzero(~np.isfinite(sd))  # an exported machine knows nothing of channels beside it
@@ -349,7 +359,8 @@ def verify(
     with name_faults(results):
         plan = plan_reverification(calibrated, suspects, commands, given, planned, demand)
     sentence = describe_plan(plan)
-    put(format_plan(calibrated, plan, sentence, touching), out)
+    how = "Touch the instrument of each" if touching else "Read the channels at each"
+    put(format_plan(calibrated, plan, sentence, how if tables is None else tables.instruct(), touching), out)
     if out is not None:
         print_sentence(sentence)
 
@@ -386,79 +397,6 @@ def _demand(
     return VerificationGoal(in_sd * known, power, false_alarm, sessions, in_sd=in_sd)
 
 
-type StatedNoise = tuple[float, float | None] | None
-"""Of positions (µm) and rotations (arcsec)."""
-
-# --- poses ---------------------------------------------------------------------------------------------------------
-
-
-def _read_poses(
-    path: Path, actuators: Path | None, stated: StatedNoise, calibrated: CalibratedMachine
-) -> tuple[list[str], Measurements]:
-    """Return what is wrong with a session's measured poses, in lines, and the poses."""
-    from bayescal.calibrated.verify.plan import has_noise, place_poses, read_session
-    from bayescal.data.instruments.read_poses import PoseNoise
-    from bayescal.experiments.shared.pose_readings import find_reverification_slip
-
-    noise = PoseNoise() if has_noise(path) or stated is None else PoseNoise(*stated)
-    read = read_session(path, actuators, noise, calibrated)
-    slip = find_reverification_slip(calibrated, read.poses) if read.is_whole() else None
-    lines = [] if slip is None else [f"{path}: {slip.say()}; results below depend on it"]
-    return lines, place_poses(read.names, read.actuators, read.values, read.covariance)
-
-
-def _read_tracked(
-    path: Path, actuators: Path | None, stated: StatedNoise, calibrated: CalibratedMachine, tracker: str
-) -> Measurements:
-    """Return a session's poses of the tool in an instrument's frame, as a study reads them."""
-    from bayescal.calibrated.verify.plan import check_noise, has_noise
-    from bayescal.density.calibration.measurements import Measurements
-    from bayescal.experiments.shared.readings.data_schema import PoseDataConfig
-    from bayescal.experiments.shared.readings.measurement import InstrumentReader
-    from bayescal.experiments.shared.schema import UnitsConfig
-
-    position, rotation = (None, None) if has_noise(path) or stated is None else stated
-    section = PoseDataConfig.model_construct(
-        kind="poses",
-        name=tracker,
-        file=path.name,
-        actuators=None if actuators is None else str(actuators.absolute()),
-        position_um=position,
-        orientation_arcsec=rotation,
-    )
-    measured = InstrumentReader(path.absolute().parent, calibrated.model.bare, UnitsConfig(), False).read(section)
-    measured.check(calibrated.model)
-    found, noise = measured.spread(calibrated.model), calibrated.noise
-    sd = np.where(np.isfinite(found.sd), found.sd, np.nan if noise is None else noise)
-    session = Measurements(found.poses, found.values, sd, found.given, found.correlation)
-    check_noise(path, session, calibrated)
-    return session
-
-
-def _plan_poses(
-    results: Path,
-    stated: StatedNoise,
-    noise_from: Path | None,
-    calibrated: CalibratedMachine,
-    tracker: str | None,
-) -> Measurements:
-    """Return how a pose will be measured: as it is stated, as a table has it, or as the study had it."""
-    from bayescal.calibrated.verify.plan import build_covariance, expect_pose, expect_tracked, read_mean_covariance
-
-    def expect(covariance: Array) -> Measurements:
-        return (
-            expect_pose(calibrated, covariance) if tracker is None else expect_tracked(calibrated, tracker, covariance)
-        )
-
-    if noise_from is not None:
-        return expect(read_mean_covariance(noise_from, in_part=tracker is not None))
-    if stated is None:
-        raise InputError(
-            f"{results}: found no pose noise, expected --position-um, --orientation-arcsec, or --noise-from POSES.csv"
-        )
-    return expect(build_covariance(*stated))
-
-
 def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
     """Return the noise of a rotation in arcseconds; InputError where it is stated in both units."""
     from bayescal.numerics.units import choose_arcseconds
@@ -467,29 +405,6 @@ def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None
         return choose_arcseconds(arcsec, urad)
     except ValueError as error:
         raise InputError(f"verify: {error}") from error
-
-
-def _find_stated(
-    results: Path, position_um: float | None, orientation_arcsec: float | None, whole: bool
-) -> StatedNoise:
-    """Return the noise of position (µm) and rotation (arcsec) by the options, or by the study's config.
-
-    That of a rotation is there where poses have to be measured whole.
-    """
-    from bayescal.experiments.runner.results import PROVENANCE_FILE
-    from bayescal.files.atomic import read_json
-
-    if whole and (position_um is None) != (orientation_arcsec is None):
-        raise InputError("verify: expected both --position-um and --orientation-arcsec")
-    if position_um is not None:
-        return position_um, orientation_arcsec
-    if not (results / PROVENANCE_FILE).is_file():
-        return None
-    for data in read_json(results / PROVENANCE_FILE).get("config", {}).get("data", []):
-        rotation = _choose_arcseconds(data.get("orientation_arcsec"), data.get("orientation_urad"))
-        if (rotation is not None or not whole) and (position := data.get("position_um")) is not None:
-            return float(position), rotation
-    return None
 
 
 # --- readings of any machine -----------------------------------------------------------------------------------------

@@ -44,6 +44,10 @@ class MeasuredPoses:
         """Number of poses P."""
         return len(self.names)
 
+    def is_whole(self) -> bool:
+        """Whether every coordinate of every pose is known."""
+        return bool(np.isfinite(self.position).all() and np.isfinite(self.rotation).all())
+
     def select(self, index: np.ndarray) -> MeasuredPoses:
         """Return some of the poses."""
         names = tuple(np.asarray(self.names)[index])

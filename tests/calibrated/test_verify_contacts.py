@@ -63,7 +63,7 @@ def test_balls_sit_in_sockets_in_turns(arm, tmp_path):
     suspects = suspects.pick(np.array([name not in ("offset[1]", "offset[7]") for name in suspects.names]))
     goal = VerificationGoal(shift[: len(suspects.names)])
     plan = plan_reverification(arm, suspects, commands, given, planned, goal)
-    (tmp_path / "plan.csv").write_text(format_plan(arm, plan, "A plan", touching))
+    (tmp_path / "plan.csv").write_text(format_plan(arm, plan, "A plan", "Touch each", touching))
     table = pd.read_csv(tmp_path / "plan.csv", comment="#")
     assert list(table["instruments"]) == [touching[k] for k in plan.chosen]
     np.testing.assert_allclose(read_commands(tmp_path / "plan.csv", arm)[1], commands[plan.chosen], atol=1e-6)

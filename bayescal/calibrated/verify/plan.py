@@ -26,7 +26,6 @@ from bayescal.calibrated.verify.statistics import (
     say_shift,
     say_size,
 )
-from bayescal.data.actuators import check_travel, choose_columns
 from bayescal.data.instruments.read_poses import (
     DEVIATIONS,
     UNITS,
@@ -34,14 +33,12 @@ from bayescal.data.instruments.read_poses import (
     check_positive,
     name_covariances,
     read_noise,
-    read_poses,
 )
-from bayescal.data.instruments.readings import TrackedPoses
 from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker, locate_tool
+from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker
 from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
@@ -274,10 +271,10 @@ def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
     return model.reads_pose and not model.given and places == list(POSE) and list(model.names) == own
 
 
-def find_tracker(calibrated: CalibratedMachine) -> str | None:
-    """Return the name of the instrument that measured poses of the tool in a frame of its own; None without any."""
+def list_trackers(calibrated: CalibratedMachine) -> list[str]:
+    """Return the names of the instruments that measured the tool in frames of their own."""
     beside = calibrated.model.instruments if isinstance(calibrated.model, InstrumentedMachine) else ()
-    return next((one.name for one in beside if isinstance(one.machine, Tracker)), None)
+    return [one.name for one in beside if isinstance(one.machine, Tracker)]
 
 
 def build_covariance(position_um: float, orientation_arcsec: float | None) -> Array:
@@ -317,7 +314,10 @@ def expect_pose(calibrated: CalibratedMachine, covariance: Array) -> Measurement
 
 
 def expect_tracked(calibrated: CalibratedMachine, tracker: str, covariance: Array) -> Measurements:
-    """Return a row that says that an instrument measures the tool's pose, with a covariance (6, 6), mm and rad."""
+    """Return a row that says that an instrument measures the tool, with a covariance (n, n), mm and rad.
+
+    That of a pose, n = 6, or of all its channels; NaN of those that are not read.
+    """
     places, n = calibrated.model.instrument_places[tracker], len(calibrated.model.channels)
     sd = np.full(n, np.nan) if calibrated.noise is None else calibrated.noise.copy()
     seen = covariance[: len(places), : len(places)]  # the position alone, of a tool that does not say how it is turned
@@ -341,28 +341,6 @@ def place_poses(names: tuple[str, ...], actuators: Array, values: Array, covaria
     correlation[:, n:, n:] = covariance / (sd[:, :, None] * sd[:, None, :])
     every = np.concatenate([actuators, values], axis=1)
     return Measurements(names, every, np.concatenate([np.ones_like(actuators), sd], axis=1), {}, correlation)
-
-
-def has_noise(path: Path) -> bool:
-    """Return whether a table of poses states its noise itself."""
-    columns = read_table(path, None).columns
-    return any(name.startswith(("cov_", "sd_")) for name in columns)
-
-
-def read_session(path: Path, actuators: Path | None, noise: PoseNoise, calibrated: CalibratedMachine) -> TrackedPoses:
-    """Return the poses of a session in the base frame; actuator positions from its table or the plan's.
-
-    InputError for anything at fault in the tables, a rotation that is measured in part, and positions out of range.
-    """
-    channels = calibrated.command_channels
-    readings, _ = read_poses(path, actuators, noise, choose_columns(channels, path if actuators is None else actuators))
-    turned = np.isfinite(readings.values[:, 3:])
-    for k in np.flatnonzero(turned.any(axis=1) & ~turned.all(axis=1))[:1]:
-        raise InputError(f"{path}: pose {readings.names[k]!r}: found part of a rotation, expected all or none")
-    table = path if actuators is None else actuators
-    check_travel(readings.actuators, calibrated.model.command_range, channels, readings.names, table)
-    readings.check_units(locate_tool(calibrated.model, readings.actuators), path)
-    return readings
 
 
 # --- readings of any machine ---------------------------------------------------------------------------------------
@@ -417,23 +395,16 @@ def check_noise(path: Path, readings: Measurements, calibrated: CalibratedMachin
 
 
 def format_plan(
-    calibrated: CalibratedMachine, plan: ReverificationPlan, title: str, touching: Sequence[str] = ()
+    calibrated: CalibratedMachine, plan: ReverificationPlan, title: str, how: str, touching: Sequence[str] = ()
 ) -> str:
     """Return a plan as CSV text: the poses of one session, the one that shows most first.
 
-    ``touching`` are the instruments that touch at the candidates out of which it is chosen, where any do.
+    ``how`` says what is measured at each; ``touching`` are the instruments that touch at the candidates out of which it
+    is chosen, where any do.
     """
     channels = calibrated.command_channels
     back = "then: bayescal verify RESULTS --measured THAT.csv --actuators THIS.csv"
-    if is_read_by_pose(calibrated) or find_tracker(calibrated) is not None:
-        whose = "platform pose, base" if is_read_by_pose(calibrated) else "tool pose, instrument"
-        how = [
-            f"Measure the {whose} frame: pose, x_mm, y_mm, z_mm,",
-            f"rx_deg, ry_deg, rz_deg; {back}",
-        ]
-    else:
-        how = [f"{'Touch the instrument of' if touching else 'Read the channels at'} each;", back]
-    comments = [*calibrated.source.describe(), title, *how]
+    comments = [*calibrated.source.describe(), title, f"{how};", back]
     beside = [(touching[k],) for k in plan.chosen] if touching else [()] * len(plan.chosen)
     columns = [
         "pose",

@@ -56,8 +56,8 @@ class TrackedReadings(ABC):
         """The poses as read, base frame, all frames as they should be; NaN where a coordinate is not determined."""
 
     @abstractmethod
-    def see(self) -> list[StationObservation]:
-        """Return what was seen, station by station."""
+    def see(self, each_point: bool = False) -> list[StationObservation]:
+        """Return what was seen, station by station; every point by itself where these are asked for."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
@@ -72,7 +72,7 @@ class TrackedReadings(ABC):
 
     def is_whole(self) -> bool:
         """Whether every pose is determined by its readings."""
-        return bool(np.isfinite(self.poses.position).all() and np.isfinite(self.poses.rotation).all())
+        return self.poses.is_whole()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +98,9 @@ class TrackedPoses(TrackedReadings):
         covariance = np.where(measured[:, :, None] & measured[:, None, :], self.covariance, np.nan)
         return MeasuredPoses(self.names, self.values[:, :3], rotation, covariance, self.actuators)
 
-    def see(self) -> list[StationObservation]:
+    def see(self, each_point: bool = False) -> list[StationObservation]:
         """Return the poses."""
+        del each_point
         return [StationObservation(0, None, self.values, self.covariance)]
 
     def describe(self) -> dict[str, Any]:
@@ -202,12 +203,13 @@ class TrackedPoints(TrackedReadings):
                 position[p], rotation[p], covariance[p] = fit.position, fit.rotation, fit.covariance
         return position, rotation, covariance
 
-    def see(self) -> list[StationObservation]:
+    def see(self, each_point: bool = False) -> list[StationObservation]:
         """Return each station's poses where its points determine them all, otherwise its points."""
         found = []
         for s in range(len(self.stations)):
             fits = [one[s] for one in self._fits]
-            if all(fit is not None or not seen.any() for fit, seen in zip(fits, self.seen[:, s], strict=True)):
+            told = (fit is not None or not seen.any() for fit, seen in zip(fits, self.seen[:, s], strict=True))
+            if not each_point and all(told):
                 position, rotation, covariance = self._gather(fits)
                 found.append(
                     StationObservation(s, None, np.concatenate([position, turn_of(rotation)], axis=1), covariance)

@@ -69,8 +69,8 @@ def find_kept(results: Results, what: str, name: str) -> Path | None:
 
     Of one that stands in no file the folder of the results.
     """
-    if not is_file(name):
+    if not is_file(name) or results.folder is None:
         return results.folder
-    folder = find_config(results).parent
+    folder = find_config(results.folder, results.provenance).parent
     check_same(folder, list_sources(what, name, folder), results.hashes)
     return folder

@@ -43,13 +43,12 @@ def _write(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
-def find_config(results: Results) -> Path:
-    """Return where the config stands that results keep; InputError for results that keep none."""
-    assert results.folder is not None
-    parts = PurePosixPath(str(results.provenance.get(CONFIG_FILE, ""))).parts
-    path = results.folder.joinpath(*parts)
+def find_config(folder: Path, provenance: Mapping[str, Any]) -> Path:
+    """Return where the config stands that results in a folder keep; InputError for results that keep none."""
+    parts = PurePosixPath(str(provenance.get(CONFIG_FILE, ""))).parts
+    path = folder.joinpath(*parts)
     if parts[:1] != (INPUTS,) or ".." in parts or not path.is_file():
-        raise InputError(f"{results.folder}: found no inputs, expected results of a run that kept them")
+        raise InputError(f"{folder}: found no inputs, expected results of a run that kept them")
     return path
 
 
@@ -62,6 +61,6 @@ def read_inputs(results: Results) -> tuple[dict[str, Any], str, Mapping[str, byt
 
     assert results.folder is not None
     root = results.folder / INPUTS
-    name = find_config(results).relative_to(root).as_posix()
+    name = find_config(results.folder, results.provenance).relative_to(root).as_posix()
     files = {one.relative_to(root).as_posix(): one.read_bytes() for one in sorted(root.rglob("*")) if one.is_file()}
     return tomllib.loads(files.pop(name).decode()), name, files

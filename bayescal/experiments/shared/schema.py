@@ -162,6 +162,11 @@ class FramesConfig(Section):
     tool: FrameConfig | None = None
     """How well the probe's frame against the platform is known; exactly, where nothing is said."""
 
+    @property
+    def is_free(self) -> bool:
+        """Whether the calibration has to find any of them."""
+        return self.base is not None or self.tool is not None
+
 
 class WorkspaceConfig(Section):
     """Where accuracy counts: half widths about the home pose.

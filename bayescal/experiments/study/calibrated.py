@@ -27,6 +27,7 @@ from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
 from bayescal.errors import InputError
+from bayescal.experiments.runner.kept_inputs import find_config
 from bayescal.experiments.runner.results import PRELIMINARY, Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT
 from bayescal.experiments.shared.headline import choose_best
@@ -191,7 +192,11 @@ def calibrate_machine(
         model = read_model(config, chosen, path, folder)
         if (kept / MATRIX_COVARIANCE).is_file():
             covariance = read_matrix_covariance(kept / MATRIX_COVARIANCE, len(model.commanded))
-    kept_config, trackers = expect_trackers(config, model) if with_instruments else (config, {})
+
+    def locate_inputs() -> Path:
+        return find_config(results.folder or folder, results.provenance).parent if experiment is None else folder
+
+    kept_config, trackers = expect_trackers(config, model, locate_inputs) if with_instruments else (config, {})
     if with_instruments and (config.instruments or trackers):
         config, chosen, model = _keep_instruments(results, kept_config, chosen, model, folder, trackers)
     else:

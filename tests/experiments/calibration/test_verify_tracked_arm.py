@@ -1,14 +1,18 @@
-"""Whether a calibration by poses in an instrument's frame still holds: an arm of three joints, planned and judged."""
+"""Whether a calibration by poses, points or targets still holds: an arm of three joints, planned and judged."""
 
 from __future__ import annotations
+
+import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
 import studies
 
-from bayescal.calibrated.verify.plan import find_tracker
+from bayescal.calibrated.verify.plan import list_trackers
 from bayescal.experiments.shared.calibrating import load_calibrated
+from bayescal.machines.read import read_reading_model
+from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 pytestmark = pytest.mark.runs
 
@@ -35,39 +39,119 @@ name = "arm_data"
 title = "An arm that an instrument sees"
 n_poses = 20
 {COMMON}
-[instrument]
-kind = "poses"
-position_um = 20.0
-orientation_arcsec = 20.0
-frames.base = [{{ position_mm = [100.0, -20.0, 3.0], rotation_deg = [0.0, 0.0, 30.0] }}]
 """
 STUDY = f"""kind = "study"
 name = "arm"
 title = "An arm that an instrument sees"
 {COMMON}
-[[data]]
-kind = "poses"
-file = "data/poses.csv"
-actuators = "data/actuators.csv"
-frames.base = {{ position = 300.0, rotation = 60.0 }}
 [model_error]
 terms = []
 [[variants]]
 name = "all"
 """
-SEEN = ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+FRAME_OF_BASE = "frames.base = [{ position_mm = [100.0, -20.0, 3.0], rotation_deg = [0.0, 0.0, 30.0] }]"
+SEEN_BY = {
+    "poses": f"""[instrument]
+kind = "poses"
+position_um = 20.0
+orientation_arcsec = 20.0
+{FRAME_OF_BASE}
+""",
+    "points": f"""[instrument]
+kind = "points"
+probe = "probe.csv"
+range_um = 10.0
+azimuth_arcsec = 2.0
+elevation_arcsec = 2.0
+{FRAME_OF_BASE}
+""",
+}
+MEASURED = {
+    "poses": """
+[[data]]
+kind = "poses"
+file = "data/poses.csv"
+actuators = "data/actuators.csv"
+frames.base = { position = 300.0, rotation = 60.0 }
+""",
+    "points": """
+[[data]]
+kind = "points"
+file = "data/points.csv"
+probe = "probe.csv"
+actuators = "data/actuators.csv"
+range_um = 10.0
+azimuth_arcsec = 2.0
+elevation_arcsec = 2.0
+frames.base = { position = 300.0, rotation = 60.0 }
+""",
+    "targets": """
+[[data]]
+kind = "targets"
+file = "data/targets.csv"
+reference = "data/target_reference.csv"
+actuators = "data/actuators.csv"
+target_noise_um = 15.0
+""",
+}
+PROBE = "point,x_mm,y_mm,z_mm\nA,50,0,0\nB,-30,40,0\nC,0,-40,20\n"
+BODIES = {"base": 400.0, "platform": 60.0}  # radius of each body's targets, mm
+COORDINATES = ["x_mm", "y_mm", "z_mm"]
+SEEN = [*COORDINATES, "rx_deg", "ry_deg", "rz_deg"]
 NOISE = np.array([0.02] * 3 + [np.radians(20.0 / 3600.0)] * 3)
 FRAME = {"base_x": 100.0, "base_y": -20.0, "base_z": 3.0, "base_rx": 0.0, "base_ry": 0.0, "base_rz": np.radians(30.0)}
+OPTIONS = {"poses": ["--position-um", 20, "--orientation-arcsec", 20]}
+
+
+def list_targets(body):
+    """Return where six targets of a body sit, (6, 3), mm."""
+    angle = np.arange(6) * np.pi / 3.0
+    return np.stack([BODIES[body] * np.cos(angle), BODIES[body] * np.sin(angle), 10.0 * np.sin(2.0 * angle)], axis=1)
+
+
+def see_targets(names, position, rotation, rng):
+    """Return a table of targets that cameras see, whose frame wanders from pose to pose."""
+    rows = []
+    for name, at, turned in zip(names, position, rotation, strict=True):
+        camera = matrix_from_rotation_vector(0.01 * rng.standard_normal(3))
+        for body in BODIES:
+            places = list_targets(body) if body == "base" else at + list_targets(body) @ turned.T
+            seen = places @ camera.T + 0.015 * rng.standard_normal(places.shape)
+            rows += [(name, body, f"T{k}", *one) for k, one in enumerate(seen)]
+    return pd.DataFrame(rows, columns=["pose", "body", "target", *COORDINATES])
+
+
+def write_targets(folder, rng):
+    """Write what cameras see of the arm of a simulation, and where targets sit."""
+    machine = read_reading_model(folder / "machine.toml")
+    true = pd.read_csv(folder / "data" / "true_parameters.csv", comment="#").set_index("parameter")["value"]
+    theta = np.array([true.get(name, 0.0) for name in machine.layout.names])
+    poses = pd.read_csv(folder / "data" / "true_poses.csv", comment="#")
+    tool = machine.tool(theta, poses[[f"q{k}_rad" for k in (1, 2, 3)]].to_numpy())[0]
+    turned = matrix_from_rotation_vector(tool[:, 3:])
+    see_targets(poses["pose"], tool[:, :3], turned, rng).to_csv(folder / "data" / "targets.csv", index=False)
+    rows = [(body, f"T{k}", 0, *one) for body in BODIES for k, one in enumerate(list_targets(body))]
+    reference = pd.DataFrame(rows, columns=["body", "target", "leg", *COORDINATES])
+    reference.to_csv(folder / "data" / "target_reference.csv", index=False)
+
+
+@pytest.fixture(scope="module", params=["poses", "points", "targets"])
+def kind(request):
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, kind):
     found = tmp_path_factory.mktemp("arm")
-    for name, text in {"machine": MACHINE, "simulate": SIMULATION, "study": STUDY}.items():
+    simulation = SIMULATION + SEEN_BY.get(kind, SEEN_BY["poses"].replace(FRAME_OF_BASE, ""))
+    for name, text in {"machine": MACHINE, "simulate": simulation, "study": STUDY + MEASURED[kind]}.items():
         (found / f"{name}.toml").write_text(text)
+    (found / "probe.csv").write_text(PROBE)
     (found / "data").mkdir()
     for name, text in studies.simulate(found / "simulate.toml").files.items():
         (found / "data" / name).write_text(text)
+    if kind == "targets":
+        write_targets(found, np.random.default_rng(7))
     return found
 
 
@@ -79,49 +163,97 @@ def results(folder, call):
     return folder / "out"
 
 
-def measure(folder, plan, shift, rng, in_part):
+def measure(folder, kind, plan, shift, rng, in_part=False):
     """Write what the instrument sees of the true arm at the poses of a plan, a parameter shifted."""
-    machine = load_calibrated(folder / "out", with_instruments=True)
+    calibrated = load_calibrated(folder / "out", with_instruments=True)
+    model, (tracker,) = calibrated.model, list_trackers(calibrated)
     true = pd.read_csv(folder / "data" / "true_parameters.csv", comment="#").set_index("parameter")["value"]
-    theta = np.array([{**true, **FRAME}.get(name, 0.0) for name in machine.model.layout.names])
+    frame = {} if kind == "targets" else FRAME
+    theta = np.array([{**true, **frame}.get(name, 0.0) for name in model.layout.names])
     for name, size in shift.items():
-        theta[machine.model.layout.names.index(name)] += size
+        theta[model.layout.names.index(name)] += size
     table = pd.read_csv(plan, comment="#")
     commands = table[[f"joint_{k}_rad" for k in (1, 2, 3)]].to_numpy()
-    pose, found = machine.model.locate(theta, commands)
+    pose, found = model.locate(theta, commands)
     assert found.all()
-    seen = machine.model.read(theta, pose)[:, machine.model.instrument_places[find_tracker(machine)]]
-    seen = (seen + NOISE * rng.standard_normal(seen.shape)) * [1.0, 1.0, 1.0, *np.degrees([1.0, 1.0, 1.0])]
-    written = pd.DataFrame(seen, columns=SEEN).iloc[:, : 3 if in_part else 6]
+    seen = model.read(theta, pose)[:, model.instrument_places[tracker]]
+    if kind == "points":
+        seen = (seen + 0.01 * rng.standard_normal(seen.shape)).reshape(-1, 3, 3)
+        rows = [
+            (name, point, *at)
+            for name, one in zip(table["pose"], seen, strict=True)
+            for point, at in zip("ABC", one, strict=True)
+        ]
+        written = pd.DataFrame(rows, columns=["pose", "point", *COORDINATES]).assign(sd_um=10.0)
+    elif kind == "targets":
+        written = see_targets(table["pose"], seen[:, :3], matrix_from_rotation_vector(seen[:, 3:]), rng)
+    else:
+        seen = (seen + NOISE * rng.standard_normal(seen.shape)) * [1.0, 1.0, 1.0, *np.degrees([1.0, 1.0, 1.0])]
+        written = pd.DataFrame(seen, columns=SEEN).iloc[:, : 3 if in_part else 6]
+        written.insert(0, "pose", table["pose"])
     path = plan.with_name("session.csv")
-    pd.concat([table["pose"], written], axis=1).to_csv(path, index=False)
+    written.to_csv(path, index=False)
     return path
 
 
-@pytest.mark.parametrize("in_part", [False, True], ids=["poses", "positions"])
-def test_a_shifted_joint_is_found(results, folder, call, tmp_path, rng, in_part):
-    plan, noise = tmp_path / "plan.csv", ["--position-um", 20, *([] if in_part else ["--orientation-arcsec", 20])]
-    options = ["--parameters", "offset", "--shift-arcsec", 120]
+@pytest.mark.parametrize("in_part", [False, True], ids=["whole", "positions"])
+def test_a_shifted_joint_is_found(results, folder, kind, call, tmp_path, rng, in_part):
+    if in_part and kind != "poses":
+        pytest.skip("only a table of poses may have positions alone")
+    noise = OPTIONS.get(kind, [])[: 2 if in_part else None]
+    plan, options = tmp_path / "plan.csv", ["--parameters", "offset", "--shift-arcsec", 120]
     code, _, error = call("verify", results, *noise, *options, "--out", plan)
     assert code == 0, error
     rows = pd.read_csv(plan, comment="#")
     assert 1 <= len(rows) <= 10
     judged = ["--actuators", plan, *noise, "--parameters", "offset"]
-    holds = measure(folder, plan, {}, rng, in_part)
+    holds = measure(folder, kind, plan, {}, rng, in_part)
     assert call("verify", results, "--measured", holds, *judged)[1].startswith("the calibration holds")
-    moved = measure(folder, plan, {"offset[2]": np.radians(0.1)}, rng, in_part)
+    moved = measure(folder, kind, plan, {"offset[2]": np.radians(0.1)}, rng, in_part)
     assert call("verify", results, "--measured", moved, *judged)[1].startswith("offset[2] shifted by +3")
 
 
-def test_the_noise_of_a_table_plans_as_the_same_stated(results, folder, call, tmp_path):
-    options, stated = ["--parameters", "offset", "--out"], ["--position-um", 20, "--orientation-arcsec", 20]
-    assert call("verify", results, "--noise-from", folder / "data" / "poses.csv", *options, tmp_path / "a.csv")[0] == 0
-    assert call("verify", results, *stated, *options, tmp_path / "b.csv")[0] == 0
+def test_a_plan_says_what_is_measured(results, kind, call, tmp_path):
+    assert (
+        call("verify", results, *OPTIONS.get(kind, []), "--parameters", "offset", "--out", tmp_path / "plan.csv")[0]
+        == 0
+    )
+    said = {"poses": "tool pose, instrument frame", "points": "pose, station, point", "targets": "pose, body, target"}
+    assert said[kind] in (tmp_path / "plan.csv").read_text()
+
+
+def test_the_noise_of_a_table_plans_as_the_study_that_read_it(results, folder, kind, call, tmp_path):
+    options, own = ["--parameters", "offset", "--out"], folder / "data" / f"{kind}.csv"
+    assert call("verify", results, "--noise-from", own, *options, tmp_path / "a.csv")[0] == 0
+    assert call("verify", results, *options, tmp_path / "b.csv")[0] == 0
     one, other = (pd.read_csv(tmp_path / name, comment="#") for name in ("a.csv", "b.csv"))
     pd.testing.assert_frame_equal(one, other)
 
 
-def test_noise_that_nobody_states_is_asked_for(results, call):
-    code, _, error = call("verify", results)
+def test_tables_of_another_kind_are_refused(results, folder, kind, call, tmp_path):
+    other = {"poses": "points", "points": "poses", "targets": "points"}[kind]
+    columns = {
+        "points": "pose,point,x_mm,y_mm,z_mm,sd_um\nC001,A,1,2,3,10",
+        "poses": "pose,x_mm,y_mm,z_mm,sd_x_um,sd_y_um,sd_z_um\nC001,1,2,3,9,9,9",
+    }
+    path = tmp_path / "today.csv"
+    path.write_text(f"{columns[other]}\n")
+    (tmp_path / "plan.csv").write_text("pose,use,joint_1_rad,joint_2_rad,joint_3_rad\nC001,calibration,0.1,0.7,-1.5\n")
+    code, _, error = call("verify", results, "--measured", path, "--actuators", tmp_path / "plan.csv")
     assert code == 2
-    assert "--position-um" in error
+    assert f"found {other}, expected" in error
+    assert "as in the calibration" in error
+
+
+def test_an_instrument_of_another_name_is_refused(results, call):
+    code, _, error = call("verify", results, "--instrument", "left")
+    assert code == 2
+    assert "--instrument: found 'left'" in error
+
+
+def test_noise_that_nobody_states_is_asked_for(results, call, tmp_path):
+    shutil.copytree(results, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / "inputs")
+    code, _, error = call("verify", tmp_path / "out", "--allow-changed-files")
+    assert code == 2
+    assert "inputs" in error or "--position-um" in error

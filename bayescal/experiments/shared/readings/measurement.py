@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -146,14 +147,26 @@ def settle(config: StudyConfig, measured: Sequence[Measured]) -> StudyConfig:
     return _state(config, parameters, noise)
 
 
-def expect_trackers(config: StudyConfig, machine: ReadingModel) -> tuple[StudyConfig, dict[str, Instrument]]:
-    """Return a config that states the frames of instruments of poses, and these: of a machine without such channels.
+def expect_trackers(
+    config: StudyConfig, machine: ReadingModel, folder: Callable[[], Path]
+) -> tuple[StudyConfig, dict[str, Instrument]]:
+    """Return a config that states the frames of instruments of tables, and these: of a machine without such channels.
 
-    No table is read: their noise stays in the tables.
+    No measurement is read, their noise stays in the tables; ``folder`` returns where the files are that say which
+    points a tracker sees from which stations.
     """
-    tables = [one for one in config.data if isinstance(one, PoseDataConfig) and not machine.reads_pose]
-    found: dict[str, Instrument] = {one.name: Tracker(("",), [(0, None)], machine.tells_rotation) for one in tables}
-    known = {name: prior for one in tables for name, prior in _know_frames(one, 1, config.units).items()}
+    found, known = dict[str, Instrument](), dict[str, PriorConfig]()
+    for one in () if machine.reads_pose else config.data:
+        if isinstance(one, TargetDataConfig):
+            found[one.name] = Tracker(("",), [(0, None)])
+        elif isinstance(one, PoseDataConfig):
+            found[one.name] = Tracker(("",), [(0, None)], machine.tells_rotation)
+            known |= _know_frames(one, 1, config.units)
+        elif isinstance(one, PointDataConfig):
+            _, probe = read_probe(folder() / one.probe)
+            stations = read_stations(None if one.stations is None else folder() / one.stations).names
+            found[one.name] = Tracker(stations, list(product(range(len(stations)), probe)), machine.tells_rotation)
+            known |= _know_frames(one, len(stations), config.units)
     return _state(config, known, {}), found
 
 
@@ -232,6 +245,7 @@ class InstrumentReader:
     machine: ReadingModel
     units: UnitsConfig
     beside_readings: bool  # a table of readings may have the positions of the actuators
+    each_point: bool = False  # points are readings of their own, though a station's tell a pose
 
     def read(self, data: InstrumentTable) -> Measured:
         """Return what a table measured; InputError for anything at fault in it or in those beside it."""
@@ -258,7 +272,7 @@ class InstrumentReader:
             if data.kind == "poses":  # in part, in the base frame
                 blocks = [(one.values, one.covariance) for one in tracked.see()]
                 return self._join(data, taken, tracked.poses, blocks, described, tracked=tracked)
-        seen, n = tracked.see(), 6
+        seen, n = tracked.see(self.each_point), 6
         if not self.machine.tells_rotation:
             self._check_unturned(data, seen)
             n = 3
