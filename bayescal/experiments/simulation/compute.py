@@ -9,7 +9,7 @@ deformation and which leaves the ring as it is. So targets give back K, and a ca
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +53,12 @@ from bayescal.experiments.shared.readings.workspace import (
 from bayescal.experiments.shared.rows import USES
 from bayescal.experiments.simulation.schema import (
     FrameTruthConfig,
+    MeasurementFrameConfig,
     PlatformInstrumentConfig,
     PointInstrumentConfig,
     PoseInstrumentConfig,
     SimulationConfig,
+    TargetsConfig,
 )
 from bayescal.files.csv_tables import format_table, read_matrix
 from bayescal.machines.deformations import MatrixDeformation
@@ -94,7 +96,7 @@ class ReadingPlan:
     common: dict[str, tuple[str, ...]]
     workspace: Workspace
     truth: Array | None
-    seen: SeenTool | None = None  # by an instrument whose files have poses or points
+    seen: SeenTool | SeenTargets | None = None  # by an instrument whose files have poses, points or targets
 
     @property
     def layout(self) -> ParameterLayout:
@@ -114,7 +116,7 @@ class ReadingPlan:
     @property
     def width(self) -> int:
         """How many numbers are simulated of each."""
-        return len(self.model.channels) + (0 if self.seen is None else DEGREES_OF_FREEDOM)
+        return len(self.model.channels) + (0 if self.seen is None else self.seen.width)
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and the true parameters (D,)."""
@@ -173,6 +175,7 @@ class SeenTool:
     config: PlatformInstrumentConfig
     folder: Path
     frames: Array  # (S + 1, 6): true ones of stations and probe, mm and rad
+    width = DEGREES_OF_FREEDOM
 
     def extend(self, layout: ParameterLayout) -> ParameterLayout:
         """Return a machine's parameters with those of the frames."""
@@ -190,20 +193,83 @@ class SeenTool:
         return {"poses.csv": _format_poses(names, (seen[0][0], seen[1][0]), config, origin, rng)}
 
 
-def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path) -> SeenTool | None:
+@dataclass(frozen=True, eq=False)
+class SeenTargets:
+    """Cameras that see targets on base and tool of any machine, in a frame that wanders from pose to pose."""
+
+    base: BodyTargets  # not yet measured
+    platform: BodyTargets
+    frame: MeasurementFrameConfig
+    noise: float  # of a target's coordinates, mm
+    frames = np.zeros((0, DEGREES_OF_FREEDOM))  # that a calibration has to find: none
+
+    @property
+    def width(self) -> int:
+        """How many numbers are seen of each pose."""
+        return 3 * (len(self.base.names) + len(self.platform.names))
+
+    def extend(self, layout: ParameterLayout) -> ParameterLayout:
+        """Return a machine's parameters: cameras add none."""
+        return layout
+
+    def measure(
+        self, position: Array, rotation: Array, rng: np.random.Generator, lifted: Array | None = None
+    ) -> tuple[BodyTargets, BodyTargets]:
+        """Return the targets as measured on a tool at (P, 3), mm, turned by (P, 3, 3).
+
+        ``lifted`` (P, N) is by how much the pads of N legs stand higher, mm; targets of pads are there with it.
+        """
+        moved = np.broadcast_to(self.platform.reference, (len(position), *self.platform.reference.shape)).copy()
+        if lifted is not None:
+            pads = self.platform.leg > 0
+            moved[:, pads, 2] += lifted[:, self.platform.leg[pads] - 1]
+        on_platform = position[:, None] + moved @ np.swapaxes(rotation, -1, -2)
+        on_base = np.broadcast_to(self.base.reference, (len(position), *self.base.reference.shape))
+        angle = np.radians(self.frame.angle_deg) * rng.uniform(-1, 1, (len(position), 3)) / np.sqrt(3)
+        turned, origin = matrix_from_rotation_vector(angle), self.frame.distance_mm * rng.uniform(-1, 1, angle.shape)
+        measured = []
+        for body, points in ((self.base, on_base), (self.platform, on_platform)):
+            seen = origin[:, None] + points @ np.swapaxes(turned, -1, -2)
+            measured.append(replace(body, measured=seen + rng.normal(0.0, self.noise, seen.shape)))
+        return measured[0], measured[1]
+
+    def format(
+        self, names: tuple[str, ...], position: Array, rotation: Array, origin: str, rng: np.random.Generator
+    ) -> dict[str, str]:
+        """Return the texts of its tables by their files' names, of a tool at (P, 3), mm, turned by (P, 3, 3)."""
+        return _format_targets(names, self.measure(position, rotation, rng), origin)
+
+
+def _place_targets(config: SimulationConfig, mechanism: Mechanism | None) -> SeenTargets:
+    """Return the targets of a config, those on pads of a mechanism's legs among them."""
+    assert config.targets is not None
+    assert config.measurement_frame is not None
+    assert config.noise is not None
+    assert config.noise.target_um is not None
+    base, platform = make_targets(config.targets, mechanism)
+    return SeenTargets(base, platform, config.measurement_frame, config.noise.target_um * MICROMETRE)
+
+
+def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path) -> SeenTool | SeenTargets | None:
     """Return the instrument that sees the tool; InputError where the machine does not say where that is, or turned."""
-    if (section := config.instrument) is None:
+    section = config.targets or config.instrument
+    if section is None:
         return None
+    which = "targets" if config.targets is not None else "instrument"
     if not model.commanded:
-        raise InputError("sensors: found no commanded channel, expected some with [instrument]")
+        raise InputError(f"sensors: found no commanded channel, expected some with [{which}]")
     if not model.places_tool:
         raise InputError("machine: found no place of its tool, expected tool_channels of its class, up to three in mm")
-    turned = section.kind == "points" or section.arcseconds is not None
+    turned = not isinstance(section, PoseInstrumentConfig) or section.arcseconds is not None
     if turned and not InstrumentedMachine(model, ()).tells_rotation:
         raise InputError(
-            "instrument: found a machine that does not say how its tool is turned, expected poses without "
+            f"{which}: found a machine that does not say how its tool is turned, expected [instrument] poses without "
             "orientation_arcsec"
         )
+    if isinstance(section, TargetsConfig):
+        if section.targets_per_pad:
+            raise InputError(f"targets.targets_per_pad: found {section.targets_per_pad}, expected 0 without [poses]")
+        return _place_targets(config, None)
     return SeenTool(section, folder, _read_frames(section, folder))
 
 
@@ -302,7 +368,7 @@ class Twin:
     folder: Path  # where the config's file names start
     calibration: Array  # (P, N), displacements of the actuators from their initial positions, mm
     verification: Array
-    seen: SeenTool | None  # by an instrument; None for photogrammetry
+    seen: SeenTool | SeenTargets
 
     @property
     def machine(self) -> Machine:
@@ -317,8 +383,7 @@ class Twin:
     @property
     def layout(self) -> ParameterLayout:
         """All true parameters', those of the instrument's frames among them."""
-        own = self.legs.layout
-        return own if self.seen is None else self.seen.extend(own)
+        return self.seen.extend(self.legs.layout)
 
     @property
     def n_held_back(self) -> int:
@@ -333,11 +398,7 @@ class Twin:
     @property
     def width(self) -> int:
         """How many coordinates of targets or of the platform, and actuators, are seen at each."""
-        targets, n_legs = self.config.targets, self.mechanism.n_legs
-        if targets is None:
-            return n_legs + DEGREES_OF_FREEDOM
-        n_targets = sum(ring.count for ring in (*targets.base, *targets.platform)) + n_legs * targets.targets_per_pad
-        return n_legs + 3 * n_targets
+        return self.mechanism.n_legs + self.seen.width
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -353,7 +414,7 @@ class Twin:
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and all true parameters."""
         origin = self.config.provenance.text
-        if self.seen is None:
+        if isinstance(self.seen, SeenTargets):
             survey, poses = survey_twin(self, rng)
             return format_survey(survey, origin) | format_truth(self, poses), self.theta
         commanded, _, found = move(self, rng, self.theta)
@@ -388,7 +449,9 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     calibration, verification = (read_moves(folder / name, poses.unit_mm, model.n_legs) for name in tables)
     theta = read_truth(config, legs.layout, folder)
     assert theta is not None
-    return Twin(legs, theta, config, folder, calibration, verification, _read_instrument(config, legs, folder))
+    seen = _read_instrument(config, legs, folder) if targets is None else _place_targets(config, legs.machine.mechanism)
+    assert seen is not None
+    return Twin(legs, theta, config, folder, calibration, verification, seen)
 
 
 def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
@@ -408,39 +471,19 @@ def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None
     And where the platform truly stood, (P, 6), the actuators' noise included: position in mm and rotation vector in
     rad, base frame.
     """
-    config, mechanism = twin.config, twin.mechanism
-    assert config.measurement_frame is not None
-    assert config.noise is not None
-    assert config.noise.target_um is not None
+    mechanism = twin.mechanism
+    assert isinstance(twin.seen, SeenTargets)
     commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
-    base, platform = make_targets(twin.config, mechanism)
     ring = twin.machine.deformation.coupling(mechanism.n_legs)  # which the pads follow; offsets of κ are not in it
-    deflection = (actual - mechanism.initial_actuator_positions) @ ring.T
-    moved = np.broadcast_to(platform.reference, (len(actual), *platform.reference.shape)).copy()
-    pads = platform.leg > 0
-    moved[:, pads, 2] += deflection[:, platform.leg[pads] - 1]
-    on_platform = pose.position[:, None] + moved @ np.swapaxes(pose.rotation, -1, -2)
-    on_base = np.broadcast_to(base.reference, (len(actual), *base.reference.shape))
-    frame = config.measurement_frame
-    angle = np.radians(frame.angle_deg) * rng.uniform(-1, 1, (len(actual), 3)) / np.sqrt(3)
-    rotation, origin = matrix_from_rotation_vector(angle), frame.distance_mm * rng.uniform(-1, 1, (len(actual), 3))
-    measured = []
-    for points in (on_base, on_platform):
-        seen = origin[:, None] + points @ np.swapaxes(rotation, -1, -2)
-        measured.append(seen + rng.normal(0.0, config.noise.target_um * MICROMETRE, seen.shape))
-    survey = Survey(
-        twin.names,
-        twin.held_back,
-        commanded,
-        BodyTargets(base.names, base.leg, base.reference, measured[0]),
-        BodyTargets(platform.names, platform.leg, platform.reference, measured[1]),
-    )
-    return survey, stack_poses(pose)
+    lifted = (actual - mechanism.initial_actuator_positions) @ ring.T
+    base, platform = twin.seen.measure(pose.position, pose.rotation, rng, lifted)
+    return Survey(twin.names, twin.held_back, commanded, base, platform), stack_poses(pose)
 
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
     """Return what actuators are to read and where they stand, (P, N), mm, and the poses of a machine θ (D,) there."""
     assert twin.config.noise is not None
+    assert twin.config.noise.actuator_um is not None
     displacement = np.concatenate([twin.calibration, twin.verification])
     commanded = twin.mechanism.initial_actuator_positions + displacement
     read = commanded + rng.normal(0.0, twin.config.noise.actuator_um * MICROMETRE, commanded.shape)
@@ -462,23 +505,19 @@ def stack_poses(found: ForwardKinematics) -> Array:
     return np.concatenate([found.position, rotation_vector_from_matrix(found.rotation)], axis=1)
 
 
-def make_targets(config: SimulationConfig, mechanism: Mechanism) -> tuple[BodyTargets, BodyTargets]:
-    """Return the targets of base and platform in their body frames, not yet measured."""
-    assert config.targets is not None
+def make_targets(config: TargetsConfig, mechanism: Mechanism | None) -> tuple[BodyTargets, BodyTargets]:
+    """Return the targets of base and platform in their body frames, not yet measured; of pads for a mechanism."""
     nothing = np.empty((0, 0, 3))
-    base = points_of(config.targets.base)
-    rigid = points_of(config.targets.platform)
-    pads = []
-    for joint in mechanism.platform_points:
-        azimuth = 2 * np.pi * np.arange(config.targets.targets_per_pad) / config.targets.targets_per_pad
+    base, rigid = points_of(config.base), points_of(config.platform)
+    pads, joints = list[Array](), np.zeros((0, 3)) if mechanism is None else mechanism.platform_points
+    for joint in joints:
+        azimuth = 2 * np.pi * np.arange(config.targets_per_pad) / config.targets_per_pad
         circle = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=1)
-        pads.append(joint + (config.targets.pad_radius_mm or 0.0) * circle)
+        pads.append(joint + (config.pad_radius_mm or 0.0) * circle)
     reference = np.round(np.concatenate([rigid, *pads]), TARGET_DECIMALS)
-    leg = np.concatenate(
-        [np.zeros(len(rigid), int), np.repeat(np.arange(1, mechanism.n_legs + 1), config.targets.targets_per_pad)]
-    )
+    leg = np.concatenate([np.zeros(len(rigid), int), np.repeat(np.arange(1, len(joints) + 1), config.targets_per_pad)])
     names = [f"P{k:02d}" for k in range(1, len(rigid) + 1)]
-    names += [f"L{i}{k}" for i in range(1, mechanism.n_legs + 1) for k in range(1, config.targets.targets_per_pad + 1)]
+    names += [f"L{i}{k}" for i in range(1, len(joints) + 1) for k in range(1, config.targets_per_pad + 1)]
     return (
         BodyTargets(tuple(f"B{k:02d}" for k in range(1, len(base) + 1)), np.zeros(len(base), int), base, nothing),
         BodyTargets(tuple(names), leg, reference, nothing),
@@ -508,10 +547,16 @@ def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
 
 def format_survey(survey: Survey, origin: str) -> dict[str, str]:
     """Return the texts of the three CSV files of a survey, by file name; units in every header."""
-    bodies = dict(zip(BODIES, (survey.base, survey.platform), strict=True))
+    actuators = format_actuators(survey.poses, survey.verification, survey.actuators, origin)
+    return _format_targets(survey.poses, (survey.base, survey.platform), origin) | {"actuators.csv": actuators}
+
+
+def _format_targets(poses: Sequence[str], measured: Sequence[BodyTargets], origin: str) -> dict[str, str]:
+    """Return the texts of a table of targets and of one of where they sit on base and platform."""
+    bodies = dict(zip(BODIES, measured, strict=True))
     rows = [
         (pose, body, name, *(f"{x:.{TARGET_DECIMALS}f}" for x in targets.measured[p, k]))
-        for p, pose in enumerate(survey.poses)
+        for p, pose in enumerate(poses)
         for body, targets in bodies.items()
         for k, name in enumerate(targets.names)
         if np.isfinite(targets.measured[p, k, 0])
@@ -527,7 +572,6 @@ def format_survey(survey: Survey, origin: str) -> dict[str, str]:
             TARGET_COLUMNS,
             rows,
         ),
-        "actuators.csv": format_actuators(survey.poses, survey.verification, survey.actuators, origin),
         "target_reference.csv": format_table(
             [origin, ("Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint.")],
             REFERENCE_COLUMNS,

@@ -57,8 +57,8 @@ class NoiseConfig(Section):
 
     target_um: NotNegative | None = Field(default=None, exclude_if=lambda value: value is None)
     """Standard deviation of a target's coordinates."""
-    actuator_um: NotNegative
-    """Standard deviation of an actuator's position about what it reads."""
+    actuator_um: NotNegative | None = Field(default=None, exclude_if=lambda value: value is None)
+    """Standard deviation of an actuator's position about what it reads, with [poses]; elsewhere [sensors] have it."""
 
 
 class TargetsConfig(Section):
@@ -152,16 +152,18 @@ class SimulatedProvenanceConfig(ProvenanceConfig):
 
 
 OF_CHANNELS = ("sensors", "n_poses", "n_verification_poses", "instruments", "parameters", "workspace", "conditions")
-OF_PLANS = ("truth", "poses", "noise", "measurement_frame")
-"""Sections of random poses, the first two needed, and of planned ones of a machine on legs, the first three needed."""
+OF_PLANS = ("truth", "poses", "noise")
+"""Sections of random poses, the first two needed, and of planned ones of a machine on legs, all needed."""
+OF_TARGETS = ("noise", "measurement_frame")
+"""Sections that only targets need, but for the noise of planned poses."""
 
 
 class SimulationConfig(FreeConfig, ExperimentConfig):
     """Simulated measurements of any machine: readings of its channels, poses or points that an instrument sees.
 
     [sensors] and n_poses make readings at random poses of the workspace, of a machine drawn within [parameters] or of
-    [truth]; with [instrument] the poses or points that it sees of the tool. At planned actuator positions of a
-    machine on legs, [poses], either [targets] make a survey or [instrument] sees the platform.
+    [truth]; with [instrument] the poses or points that it sees of the tool, with [targets] a survey of these on base
+    and tool. [poses] plan the actuator positions of a machine on legs at which either is done.
     """
 
     kind: Literal["simulation"]
@@ -195,7 +197,7 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     noise: NoiseConfig | None = None
     """Noise of targets and actuators."""
     targets: TargetsConfig | None = None
-    """Targets on the bodies of a machine on legs, for photogrammetry."""
+    """Targets on the base and on what carries the tool, for photogrammetry."""
     measurement_frame: MeasurementFrameConfig | None = None
     """How far the frame of photogrammetry wanders from pose to pose."""
     instrument: PlatformInstrumentConfig | None = None
@@ -204,20 +206,22 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
     @property
     def is_planned(self) -> bool:
         """Whether the poses are planned ones of a machine on legs."""
-        return self.poses is not None or self.targets is not None
+        return self.poses is not None
 
     @model_validator(mode="after")
     def _check_poses(self) -> Self:
         planned = self.is_planned
-        needed, strange = (OF_PLANS[:3], OF_CHANNELS) if planned else (OF_CHANNELS[:2], OF_PLANS[1:])
+        needed, strange = (OF_PLANS, OF_CHANNELS) if planned else (OF_CHANNELS[:2], OF_TARGETS)
         for name in needed:
             if not getattr(self, name):
                 expected = "it" if planned else "it, or [poses] with legs"
                 raise ValueError(f"{name}: found none, expected {expected}")
-        for name in strange:
+        for name in strange if planned or self.targets is None else ():
             if name in self.model_fields_set:
-                beside = "sensors" if not planned else "targets" if self.targets is not None else "poses"
-                raise ValueError(f"{name}: found beside {beside}, expected either")
+                raise ValueError(f"{name}: found beside {'poses' if planned else 'sensors'}, expected either")
+        if self.noise is not None and (self.noise.actuator_um is None) == planned:
+            found = "missing, expected it with poses" if planned else "found beside sensors, expected either"
+            raise ValueError(f"noise.actuator_um: {found}")
         if self.poses is not None and self.targets is None and self.instrument is None:
             raise ValueError("poses: found no [targets] or [instrument], expected either")
         return self
@@ -228,8 +232,8 @@ class SimulationConfig(FreeConfig, ExperimentConfig):
         for name, value in parts.items():
             if self.targets is not None and value is None:
                 raise ValueError(f"{name}: missing, expected it with targets")
-            if self.instrument is not None and value is not None:
-                raise ValueError(f"{name}: found with instrument, expected either")
+            if self.targets is None and value is not None:
+                raise ValueError(f"{name}: found without targets, expected them")
         if self.targets is not None and self.instrument is not None:
             raise ValueError("instrument: found with targets, expected either")
         return self

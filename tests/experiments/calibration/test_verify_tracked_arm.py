@@ -11,7 +11,6 @@ import studies
 
 from bayescal.calibrated.verify.plan import list_trackers
 from bayescal.experiments.shared.calibrating import load_calibrated
-from bayescal.machines.read import read_reading_model
 from bayescal.numerics.geometry import matrix_from_rotation_vector
 
 pytestmark = pytest.mark.runs
@@ -65,6 +64,15 @@ azimuth_arcsec = 2.0
 elevation_arcsec = 2.0
 {FRAME_OF_BASE}
 """,
+    "targets": """[noise]
+target_um = 15.0
+[targets]
+base = [{ count = 6, radius_mm = 400.0, height_mm = 0.0 }]
+platform = [{ count = 6, radius_mm = 60.0, height_mm = 30.0 }]
+[measurement_frame]
+distance_mm = 5.0
+angle_deg = 0.1
+""",
 }
 MEASURED = {
     "poses": """
@@ -95,7 +103,6 @@ target_noise_um = 15.0
 """,
 }
 PROBE = "point,x_mm,y_mm,z_mm\nA,50,0,0\nB,-30,40,0\nC,0,-40,20\n"
-BODIES = {"base": 400.0, "platform": 60.0}  # radius of each body's targets, mm
 COORDINATES = ["x_mm", "y_mm", "z_mm"]
 SEEN = [*COORDINATES, "rx_deg", "ry_deg", "rz_deg"]
 NOISE = np.array([0.02] * 3 + [np.radians(20.0 / 3600.0)] * 3)
@@ -103,36 +110,16 @@ FRAME = {"base_x": 100.0, "base_y": -20.0, "base_z": 3.0, "base_rx": 0.0, "base_
 OPTIONS = {"poses": ["--position-um", 20, "--orientation-arcsec", 20]}
 
 
-def list_targets(body):
-    """Return where six targets of a body sit, (6, 3), mm."""
-    angle = np.arange(6) * np.pi / 3.0
-    return np.stack([BODIES[body] * np.cos(angle), BODIES[body] * np.sin(angle), 10.0 * np.sin(2.0 * angle)], axis=1)
-
-
-def see_targets(names, position, rotation, rng):
+def see_targets(reference, names, position, rotation, rng):
     """Return a table of targets that cameras see, whose frame wanders from pose to pose."""
-    rows = []
+    parts = []
     for name, at, turned in zip(names, position, rotation, strict=True):
         camera = matrix_from_rotation_vector(0.01 * rng.standard_normal(3))
-        for body in BODIES:
-            places = list_targets(body) if body == "base" else at + list_targets(body) @ turned.T
-            seen = places @ camera.T + 0.015 * rng.standard_normal(places.shape)
-            rows += [(name, body, f"T{k}", *one) for k, one in enumerate(seen)]
-    return pd.DataFrame(rows, columns=["pose", "body", "target", *COORDINATES])
-
-
-def write_targets(folder, rng):
-    """Write what cameras see of the arm of a simulation, and where targets sit."""
-    machine = read_reading_model(folder / "machine.toml")
-    true = pd.read_csv(folder / "data" / "true_parameters.csv", comment="#").set_index("parameter")["value"]
-    theta = np.array([true.get(name, 0.0) for name in machine.layout.names])
-    poses = pd.read_csv(folder / "data" / "true_poses.csv", comment="#")
-    tool = machine.tool(theta, poses[[f"q{k}_rad" for k in (1, 2, 3)]].to_numpy())[0]
-    turned = matrix_from_rotation_vector(tool[:, 3:])
-    see_targets(poses["pose"], tool[:, :3], turned, rng).to_csv(folder / "data" / "targets.csv", index=False)
-    rows = [(body, f"T{k}", 0, *one) for body in BODIES for k, one in enumerate(list_targets(body))]
-    reference = pd.DataFrame(rows, columns=["body", "target", "leg", *COORDINATES])
-    reference.to_csv(folder / "data" / "target_reference.csv", index=False)
+        places = reference[COORDINATES].to_numpy()
+        places = np.where((reference["body"] == "base").to_numpy()[:, None], places, at + places @ turned.T)
+        seen = places @ camera.T + 0.015 * rng.standard_normal(places.shape)
+        parts.append(reference[["body", "target"]].assign(pose=name, **dict(zip(COORDINATES, seen.T, strict=True))))
+    return pd.concat(parts)
 
 
 @pytest.fixture(scope="module", params=["poses", "points", "targets"])
@@ -143,15 +130,13 @@ def kind(request):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, kind):
     found = tmp_path_factory.mktemp("arm")
-    simulation = SIMULATION + SEEN_BY.get(kind, SEEN_BY["poses"].replace(FRAME_OF_BASE, ""))
-    for name, text in {"machine": MACHINE, "simulate": simulation, "study": STUDY + MEASURED[kind]}.items():
+    configs = {"machine": MACHINE, "simulate": SIMULATION + SEEN_BY[kind], "study": STUDY + MEASURED[kind]}
+    for name, text in configs.items():
         (found / f"{name}.toml").write_text(text)
     (found / "probe.csv").write_text(PROBE)
     (found / "data").mkdir()
     for name, text in studies.simulate(found / "simulate.toml").files.items():
         (found / "data" / name).write_text(text)
-    if kind == "targets":
-        write_targets(found, np.random.default_rng(7))
     return found
 
 
@@ -186,7 +171,8 @@ def measure(folder, kind, plan, shift, rng, in_part=False):
         ]
         written = pd.DataFrame(rows, columns=["pose", "point", *COORDINATES]).assign(sd_um=10.0)
     elif kind == "targets":
-        written = see_targets(table["pose"], seen[:, :3], matrix_from_rotation_vector(seen[:, 3:]), rng)
+        reference = pd.read_csv(folder / "data" / "target_reference.csv", comment="#")
+        written = see_targets(reference, table["pose"], seen[:, :3], matrix_from_rotation_vector(seen[:, 3:]), rng)
     else:
         seen = (seen + NOISE * rng.standard_normal(seen.shape)) * [1.0, 1.0, 1.0, *np.degrees([1.0, 1.0, 1.0])]
         written = pd.DataFrame(seen, columns=SEEN).iloc[:, : 3 if in_part else 6]

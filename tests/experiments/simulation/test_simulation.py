@@ -27,6 +27,11 @@ from bayescal.numerics.geometry import matrix_from_rotation_vector, rotation_vec
 FILES = ("targets.csv", "actuators.csv", "target_reference.csv")
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
 INSTRUMENT = '[instrument]\nkind = "poses"\nposition_um = 1.0\n'
+TARGETS = (
+    "[targets]\nbase = [{ count = 4, radius_mm = 90.0, height_mm = 0.0 }]\n"
+    "platform = [{ count = 4, radius_mm = 30.0, height_mm = 5.0 }]\n"
+)
+SEEN_TARGETS = "[measurement_frame]\ndistance_mm = 1.0\nangle_deg = 1.0\n[noise]\ntarget_um = 1.0\n"
 RARE = 1e-4
 STAR = studies.EXPERIMENTS / "sliding_star"
 FRAMES = ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
@@ -323,9 +328,9 @@ def test_an_instrument_sees_the_tool_of_any_machine(tmp_path):
         ("pad_radius_mm = 12.0", "", "targets_per_pad 2: expected pad_radius_mm"),
         ('model = "six_pus"', "", "model: missing"),
         ('status = "reconstructed"', 'status = "measured"', "provenance.status: found 'measured', expected"),
-        ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside targets, expected either"),
+        ("[poses]", "[sensors]\nrho = { noise_um = 1.0 }\n[poses]", "sensors: found beside poses, expected either"),
         ("target_um = 3.0", "", "noise.target_um: missing"),
-        ("[poses]", INSTRUMENT + "[poses]", "measurement_frame: found with instrument"),
+        ("[poses]", INSTRUMENT + "[poses]", "instrument: found with targets, expected either"),
         ('machine = "mechanism.toml"', 'mechanism = "mechanism.toml"', "mechanism: unknown key"),
     ],
 )
@@ -339,6 +344,13 @@ def test_faulty_simulation(config, old, new, expected):
     [
         ("n_poses = 6", "", "n_poses: found none, expected it, or [poses] with legs"),
         ("[sensors]", "[noise]\nactuator_um = 1.0\n[sensors]", "noise: found beside sensors, expected either"),
+        ("[sensors]", f"{TARGETS}[noise]\ntarget_um = 1.0\n[sensors]", "measurement_frame: missing, expected it with"),
+        (
+            "[sensors]",
+            f"{TARGETS}{SEEN_TARGETS}actuator_um = 1.0\n[sensors]",
+            "noise.actuator_um: found beside sensors",
+        ),
+        ("[sensors]", f"{TARGETS}{SEEN_TARGETS}[sensors]", "targets: found a machine that does not say how its tool"),
         ("[sensors]", 'model = "six_ups"\n[sensors]', "provenance.model: unknown key"),
         (
             "[sensors]",
