@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bayescal.density import linear_gaussian
-from bayescal.experiments import SCHEMAS
+from bayescal.experiments import KINDS, SCHEMAS, USES
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.runner.run import run_experiment
 from bayescal.inference import importance
@@ -51,6 +51,15 @@ def test_a_command_imports_what_it_uses(arguments, without, monkeypatch):
     command = [sys.executable, "-c", IMPORTED, *arguments]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout  # of this file alone
     assert not without & set(said.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *USES])
+def test_a_kind_imports_what_it_reads_with(kind):
+    module = {**KINDS, **USES}[kind].partition(":")[0]
+    command = [sys.executable, "-c", f"import sys, {module}; print(*sys.modules)"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert module in said
+    assert not {*LIBRARIES, "scipy.stats", "scipy.interpolate", "scipy.cluster", "jinja2"} & {*said}
 
 
 @pytest.mark.runs

@@ -1,7 +1,7 @@
 """Names of the package's own classes that a config can use, and what each is: known without their modules.
 
-`bayescal list` and the schemas for editors need no more, and importing every class takes seconds. The
-texts are the classes' own first sentences; where names lead to is listed in the packages of the classes (`registry`).
+`bayescal list` and the schemas for editors need no more, and importing every class takes seconds. The texts are the
+classes' own first sentences; where names lead to is listed in the packages of the classes (see `registry`).
 """
 
 from typing import Final

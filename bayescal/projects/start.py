@@ -75,7 +75,7 @@ MACHINES: dict[str, ExampleHexapod | None] = {
 """Machines to begin with; none of the first ones is one function, a user-defined class.
 
 Those on legs are simulated at the same poses, tables in `templates/legs`: points of a scrambled Halton sequence, which
-fill six tenths of the actuators' range. They are not drawn anew since that needs scipy.stats, a third of `init`'s time.
+fill six tenths of the actuators' range. Drawing them takes scipy.stats, a third of `init`'s time.
 """
 
 
