@@ -38,11 +38,11 @@ DENSITIES, FACTORISATIONS = 42_000, 82_000
 @pytest.mark.parametrize(
     ("arguments", "without"),
     [
-        (["--version"], NUMERICAL | {"pydantic"}),
-        (["--help"], NUMERICAL | {"pydantic"}),
+        (["--version"], NUMERICAL | {"pydantic", "rich", "cloudpickle"}),
+        (["--help"], NUMERICAL | {"pydantic", "rich", "cloudpickle"}),
         (["list"], NUMERICAL),
         *((["schema", kind], NUMERICAL) for kind in SCHEMAS),
-        (["validate", str(OWN_MACHINE / "study.toml")], LIBRARIES),
+        (["validate", str(OWN_MACHINE / "study.toml")], LIBRARIES | {"jinja2"}),
     ],
     ids=lambda one: one[0] if isinstance(one, list) else "",
 )

@@ -20,8 +20,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import cloudpickle
-
 from bayescal.config.built_in import BUILT_IN
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
@@ -212,6 +210,8 @@ def hash_modules(classes: Iterable[type]) -> dict[str, str]:
 
     Files beside a config are none of them: they belong to its files. InputError where a module is no file.
     """
+    import cloudpickle
+
     found = {}
     for name in sorted({base.__module__ for one in classes for base in one.__mro__}):
         top = name.partition(".")[0]
