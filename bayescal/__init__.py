@@ -13,7 +13,6 @@ if sys.argv[:1] == ["-m"]:  # `python -m bayescal`, before anything else is impo
     sys.path[:] = list_elsewhere()
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # type checkers and editors do not call __getattr__
@@ -118,6 +117,8 @@ __all__ = list(_HOMES)
 
 def __getattr__(name: str) -> object:
     if name == "__version__":  # stands in pyproject.toml alone
+        from importlib.metadata import version
+
         return version("bayescal")
     if name not in _HOMES:
         raise AttributeError(f"module 'bayescal' has no attribute {name!r}")

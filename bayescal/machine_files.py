@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayescal.calibrated.exported import keep_machines
 from bayescal.config.load import read_toml
 from bayescal.config.local_imports import find_local_imports
 from bayescal.config.sections import Section
@@ -23,7 +22,7 @@ from bayescal.files.toml import write_toml
 from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm
 from bayescal.machines.mechanism import Mechanism
-from bayescal.machines.read import load_mechanism, read_reading_model
+from bayescal.machines.read import keep_machines, load_mechanism, read_reading_model
 from bayescal.machines.readings import Channel, ReadingMachine, ReadingModel
 from bayescal.machines.readings.legs import list_leg_channels
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import tomllib
@@ -11,8 +12,10 @@ import pytest
 import studies
 
 import bayescal
-from bayescal.config.registry import REGISTRIES, list_references
-from bayescal.experiments.runner.load import TITLES, list_entries
+from bayescal.config.built_in import BUILT_IN
+from bayescal.config.registry import REGISTRIES, is_own, list_references, load_class
+from bayescal.experiments import KINDS, SCHEMAS, USES
+from bayescal.experiments.runner.load import TITLES, find_kind, list_entries
 
 
 def test_version(call):
@@ -39,6 +42,18 @@ def test_everything_that_can_be_named_is_listed(call):
     one = call("list", "models")[1]
     assert "six_pus" in one
     assert "exchange" not in one
+
+
+def test_names_known_without_their_modules_are_those_of_the_classes():
+    for what in REGISTRIES:
+        found = {name: load_class(what, name, None) for name in list_references(what)}
+        first = {name: inspect.getdoc(one).partition("\n\n")[0] for name, one in found.items() if not is_own(one)}
+        assert BUILT_IN[what] == {name: " ".join(text.split()) for name, text in first.items()}
+
+
+def test_schemas_known_without_their_kinds_are_those_of_the_kinds():
+    schemas = {kind: find_kind(kind, None, None).schema for kind in (*KINDS, *USES)}
+    assert {kind: f"{one.__module__}:{one.__name__}" for kind, one in schemas.items()} == SCHEMAS
 
 
 @pytest.mark.parametrize(("command", "name"), [("list", "modles"), ("schema", "studdy")])

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from bayescal.density import linear_gaussian
+from bayescal.experiments import KINDS, SCHEMAS, USES
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.runner.run import run_experiment
 from bayescal.inference import importance
@@ -24,11 +25,12 @@ from bayescal.cli import main
 sys.argv = ["bayescal", *sys.argv[1:]]
 try:
     main()
-except SystemExit:
-    pass
+except SystemExit as ended:
+    assert not ended.code
 print(*{one.partition(".")[0] for one in sys.modules})
 """
-NUMERICAL = {"scipy", "pandas", "xarray", "matplotlib", "arviz_stats", "emcee"}
+LIBRARIES = {"matplotlib", "arviz_stats", "emcee", "xarray", "h5py", "pandas"}
+NUMERICAL = LIBRARIES | {"numpy", "scipy"}
 DENSITIES, FACTORISATIONS = 42_000, 82_000
 """Of `examples/own_machine`: two variants of 17 and 19 parameters with the default model error."""
 
@@ -36,10 +38,11 @@ DENSITIES, FACTORISATIONS = 42_000, 82_000
 @pytest.mark.parametrize(
     ("arguments", "without"),
     [
-        (["--version"], NUMERICAL),
-        (["--help"], NUMERICAL),
-        (["list", "kinds"], {"matplotlib", "arviz_stats", "emcee"}),
-        (["validate", str(OWN_MACHINE / "study.toml")], {"matplotlib", "arviz_stats", "emcee", "xarray"}),
+        (["--version"], NUMERICAL | {"pydantic", "rich", "cloudpickle"}),
+        (["--help"], NUMERICAL | {"pydantic", "rich", "cloudpickle"}),
+        (["list"], NUMERICAL),
+        *((["schema", kind], NUMERICAL) for kind in SCHEMAS),
+        (["validate", str(OWN_MACHINE / "study.toml")], LIBRARIES | {"jinja2"}),
     ],
     ids=lambda one: one[0] if isinstance(one, list) else "",
 )
@@ -48,6 +51,15 @@ def test_a_command_imports_what_it_uses(arguments, without, monkeypatch):
     command = [sys.executable, "-c", IMPORTED, *arguments]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout  # of this file alone
     assert not without & set(said.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *USES])
+def test_a_kind_imports_what_it_reads_with(kind):
+    module = {**KINDS, **USES}[kind].partition(":")[0]
+    command = [sys.executable, "-c", f"import sys, {module}; print(*sys.modules)"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert module in said
+    assert not {*LIBRARIES, "scipy.stats", "scipy.interpolate", "scipy.cluster", "jinja2"} & {*said}
 
 
 @pytest.mark.runs

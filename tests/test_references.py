@@ -30,7 +30,7 @@ def examples():
 def test_every_key_is_described_and_numbers_have_units(keys):
     assert len(keys) > 500
     for schema, name, info in keys:
-        meaning, unit = references.split_unit(name, info)
+        meaning, unit = references.split_unit(schema, name)
         assert meaning, f"{schema.__name__}.{name} has no docstring below it"
         assert unit or not references.has_numbers(info.annotation), f"{schema.__name__}.{name} has no [unit]"
 

@@ -12,10 +12,9 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
-from rich.console import Console
 
 from bayescal.config.trust import TRUST, change_policy
 from bayescal.errors import BayescalError, InputError, NumericalError, SeveralFaultsError
@@ -23,6 +22,9 @@ from bayescal.experiments.runner.interrupts import INTERRUPTED
 from bayescal.files.manifest import say_by
 from bayescal.files.plain_text import make_plain
 from bayescal.limits import LARGEST_SEED
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 app = typer.Typer(
     pretty_exceptions_enable=False,

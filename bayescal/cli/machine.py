@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from bayescal.cli.app import (
@@ -137,6 +136,8 @@ def predict(
     seed: Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Of draws' errors.")] = 0,
 ) -> None:
     """Predict where the machine and its tool are at commands (actuator positions), with their covariance."""
+    import numpy as np
+
     from bayescal.calibrated.drawn_machines import draw_poses
     from bayescal.calibrated.one_place import take_one_place
     from bayescal.calibrated.predict import check_determined, predict_poses
@@ -229,6 +230,8 @@ def _read_region(
     """Return the box that the options state; None for the default, or for the actuators' range."""
     from math import isfinite
 
+    import numpy as np
+
     from bayescal.calibrated.accuracy import box_about_home
 
     if full_range and (position_mm or rotation_deg):
@@ -289,6 +292,8 @@ def verify(
     out: Table = None,
 ) -> None:
     """Plan the fewest poses that show whether a calibration still holds, or judge what was measured at them."""
+    import numpy as np
+
     from bayescal.calibrated.tables import read_commands
     from bayescal.calibrated.verify.plan import (
         describe_plan,
@@ -374,6 +379,8 @@ def _demand(
     sessions: int,
 ) -> VerificationGoal:
     """Return what is demanded of a plan; InputError for a shift in units that the parameters do not have."""
+    import numpy as np
+
     from bayescal.calibrated.verify.plan import VerificationGoal
     from bayescal.numerics.units import ARCSECOND, MICROMETRE
 
@@ -412,6 +419,8 @@ def _choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None
 
 def _read_readings(path: Path, plan: Path | None, sd: Array, calibrated: CalibratedMachine) -> Measurements:
     """Return a session's readings, with the noise that is stated where its table does not."""
+    import numpy as np
+
     from bayescal.calibrated.verify.plan import add_commands, check_noise
 
     read = _read_table(path, calibrated)
@@ -433,6 +442,8 @@ def _read_table(path: Path, calibrated: CalibratedMachine) -> Measurements:
 
 def _find_noise(calibrated: CalibratedMachine, noise_from: Path | None, sensors: Sequence[str] | None) -> Array:
     """Return the noise of each channel, (K,): as a table has it, or as the calibration found it; NaN if not read."""
+    import numpy as np
+
     model = calibrated.model
     sd = np.full(len(model.channels), np.nan) if calibrated.noise is None else calibrated.noise.copy()
     if noise_from is not None:

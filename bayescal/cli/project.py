@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.padding import Padding
 
 from bayescal.cli.app import (
     WIDE,
@@ -189,6 +188,8 @@ def list_names(
     sort: Annotated[str | None, typer.Argument(metavar="[SORT]", help="kinds, models, sensors, ...")] = None,
 ) -> None:
     """List what a config can name: kinds, models, deformations, sensors, criteria, methods, own ones too."""
+    from rich.padding import Padding
+
     from bayescal.experiments.runner.load import list_entries, list_sorts
 
     console = make_console()

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, mod
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from bayescal.config.load import FOLDER, check_section, describe_unknown_key
-from bayescal.config.registry import find_class, is_own, list_references, list_sources, load_class
+from bayescal.config.registry import find_class, is_own, list_names, list_sources, load_class
 from bayescal.config.sections import FileMark, Section
 from bayescal.errors import BayescalError, InputError
 from bayescal.files.table_files import list_beside
@@ -67,7 +67,7 @@ class ClassMark:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         """Return what an editor is told: the known names, or any reference, or a table with a class's options."""
         del schema, handler
-        known = {"enum": sorted(list_references(self.registry))}
+        known = {"enum": list_names(self.registry)}
         reference = {"type": "string", "pattern": ":", "description": "module:Class or file.py:Class"}
         table = {"type": "object", "properties": {"class": {"type": "string"}}, "required": ["class"]}
         return {"anyOf": [known, reference, table]}

@@ -20,9 +20,6 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeAliasType, cast, get_type_hints
 
-import cloudpickle
-from pydantic_core import SchemaSerializer, SchemaValidator
-
 
 def find_local_imports(path: Path) -> dict[str, Path]:
     """Return the files that a file imports from beside itself, and these in turn, by their modules' names.
@@ -153,6 +150,9 @@ def send_by_value(module: ModuleType) -> None:
     Three things cloudpickle leaves by name or out of order: an alias of a type, what a dataclass's fields are where
     their annotations are texts, and what pydantic has built of a schema, whose parts lead back to the class.
     """
+    import cloudpickle
+    from pydantic_core import SchemaSerializer, SchemaValidator
+
     cloudpickle.register_pickle_by_value(module)  # between a run and its own workers, never to or from a file
     copyreg.pickle(TypeAliasType, lambda alias: (TypeAliasType, (alias.__name__, alias.__value__)))
     for found in vars(module).values():

@@ -15,13 +15,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import cloudpickle
-
+from bayescal.config.built_in import BUILT_IN
 from bayescal.config.load import describe_unknown
 from bayescal.config.local_imports import find_local_imports, import_from, send_by_value
 from bayescal.config.trust import are_own_classes_allowed, hash_file, permit
@@ -82,6 +81,11 @@ def list_references(what: str) -> Mapping[str, str]:
     return _list_entry_points(REGISTRIES[what].group) | built_in
 
 
+def list_names(what: str) -> list[str]:
+    """Return the names of `list_references` in order, without importing what they name."""
+    return sorted({*BUILT_IN[what], *_list_entry_points(REGISTRIES[what].group)})
+
+
 def _list_built_in(what: str) -> dict[str, Any]:
     """Return classes, or ``module:Class``, by name, as they are listed now."""
     found: dict[str, Any] = {}
@@ -90,10 +94,15 @@ def _list_built_in(what: str) -> dict[str, Any]:
     return found
 
 
-@cache
 def _list_entry_points(group: str) -> dict[str, str]:
+    return {one.name: one.value for one in _find_entry_points().select(group=group)}
+
+
+@cache
+def _find_entry_points() -> EntryPoints:
+    """Return the entry points of all installed packages, read once: it takes as long for one group as for all."""
     with _leave_current_folder():
-        return {one.name: one.value for one in entry_points(group=group)}
+        return entry_points()
 
 
 @contextmanager
@@ -201,6 +210,8 @@ def hash_modules(classes: Iterable[type]) -> dict[str, str]:
 
     Files beside a config are none of them: they belong to its files. InputError where a module is no file.
     """
+    import cloudpickle
+
     found = {}
     for name in sorted({base.__module__ for one in classes for base in one.__mro__}):
         top = name.partition(".")[0]

@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import erf, erfcinv, erfinv, log_ndtr, ndtr, ndtri, ndtri_exp
@@ -311,7 +311,6 @@ class LogNormalPrior(Prior):
         return self.mean * float(np.sqrt(np.expm1(self.spread**2)))
 
 
-INDEPENDENT: Final = "random"
 SCALE = "sigma_g"  # name of s among the free parameters
 LENGTH = "L_g"  # of the kernel's length, in units of the actuators' range
 FUNCTIONS = ("sigma_linear", "sigma_positioning", "sigma_smooth", "sigma_drift")  # of several sorts at once

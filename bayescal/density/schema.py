@@ -67,7 +67,8 @@ type PriorConfig = Annotated[
 type TermName = Literal["random", "linear", "positioning", "smooth", "drift"]
 TERMS: Final[tuple[TermName, ...]] = get_args(TermName.__value__)
 """What a model error may be made of, in the order in which pages tell it."""
-ALONE: Final[list[TermName]] = ["random"]
+INDEPENDENT: Final[TermName] = "random"
+ALONE: Final = [INDEPENDENT]
 TAU_UM: Final = 10.0
 FUNCTIONS_UM: Final = 20.0
 OF_NOISE: Final = 2.0

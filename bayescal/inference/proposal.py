@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
 from scipy.linalg import solve_triangular
 from scipy.special import gammaln, logsumexp
 
@@ -105,6 +104,8 @@ def fit_mixture(draws: Array, weights: Array, seen: np.ndarray, rng: np.random.G
 
 def _fit(white: Array, weights: Array, n_components: int, rng: np.random.Generator) -> MixtureProposal:
     """Return a mixture of so many components fitted to whitened draws (B, n) by expectation and maximisation."""
+    from scipy.cluster.vq import kmeans2
+
     start = rng.choice(len(white), min(len(white), 1000), p=weights / weights.sum())
     centres, _ = kmeans2(white[start], n_components, minit="++", rng=rng)
     distance = ((white[:, None] - centres) ** 2).sum(axis=2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -277,6 +279,24 @@ def list_machine_sources(path: Path) -> list[str]:
         return []
     own = list_sources("MACHINES", kind, path.parent)
     return own if own else find_files(_check_file(_find(kind, path), content, path, text), path.parent)
+
+
+def keep_machines(
+    paths: Iterable[Path], others: Iterable[Path] = (), folder: Path | None = None
+) -> tuple[dict[str, bytes], dict[Path, str]]:
+    """Return the files that machines are read from, by names in one folder, and each machine's own name there.
+
+    Other files are kept beside them, and where a ``folder`` is given it has a place there, too.
+    """
+    machines = {path: path.resolve() for path in paths}
+    every = dict.fromkeys([*machines.values(), *(one.resolve() for one in others)])
+    for path in machines:
+        every |= dict.fromkeys((path.parent / one).resolve() for one in list_machine_sources(path))
+    known = machines if folder is None else machines | {folder: folder.resolve()}
+    folders = [*(one.parent for one in every), *(known[folder] for _ in [folder] if folder)]
+    root = folders[0].with_segments(os.path.commonpath([str(one) for one in folders]))
+    files = {one.relative_to(root).as_posix(): one.read_bytes() for one in every}
+    return files, {path: one.relative_to(root).as_posix() for path, one in known.items()}
 
 
 def read_legs(path: Path) -> Legs:

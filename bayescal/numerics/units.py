@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 MICROMETRE = 1e-3
 ARCSECOND = math.pi / 180 / 3600
 MICRORADIAN = 1e-6
@@ -24,7 +22,7 @@ def choose_arcseconds(arcsec: float | None, urad: float | None) -> float | None:
 
 
 LENGTHS = {"um": 1e-3, "mm": 1.0, "m": 1e3}
-ANGLES = {"arcsec": np.pi / 180 / 3600, "mrad": 1e-3, "deg": np.pi / 180, "rad": 1.0}
+ANGLES = {"arcsec": math.pi / 180 / 3600, "mrad": 1e-3, "deg": math.pi / 180, "rad": 1.0}
 
 
 def units_like(unit: str) -> Mapping[str, float]:

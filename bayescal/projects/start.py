@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from scipy.stats import qmc
 
 from bayescal.config.load import look_up
 from bayescal.config.trust import list_code, remember, vouch
@@ -18,13 +17,9 @@ from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.run import compute_experiment
 from bayescal.files.atomic import make_directory, write_atomically
-from bayescal.files.csv_tables import format_table
 from bayescal.importers import Project, import_file
 
 TEMPLATES = Path(__file__).parent / "templates"
-N_CALIBRATION, N_VERIFICATION = 30, 10
-REACH = 0.6
-"""Share of the actuators' range that the simulated poses use."""
 OWN = "own"
 INSTRUMENTS = {
     "targets": "photogrammetry of targets",
@@ -77,7 +72,11 @@ MACHINES: dict[str, ExampleHexapod | None] = {
     ),
     OWN: None,
 }
-"""Machines to begin with; none of the first ones is one function, a user-defined class."""
+"""Machines to begin with; none of the first ones is one function, a user-defined class.
+
+Those on legs are simulated at the same poses, tables in `templates/legs`: points of a scrambled Halton sequence, which
+fill six tenths of the actuators' range. Drawing them takes scipy.stats, a third of `init`'s time.
+"""
 
 
 def start_project(folder: Path, machine: str, instrument: str | None) -> list[Path]:
@@ -148,10 +147,3 @@ def _write_files(folder: Path, kind: ExampleHexapod | None, machine: str, instru
     for name in files:
         if instrument not in LEFT_OUT.get(name, ()):
             write_atomically(folder / name, loader.get_template(name).render(known).encode())
-    spread = qmc.Halton(n_legs, rng=1).random(N_CALIBRATION + N_VERIFICATION)
-    moves = REACH * kind.range * (2.0 * spread - 1.0)
-    for use, some in (("calibration", moves[:N_CALIBRATION]), ("verification", moves[N_CALIBRATION:])):
-        columns = [f"drho_{leg}" for leg in range(1, n_legs + 1)]
-        comment = f"Actuator displacements from home, mm: simulated {use} poses."
-        text = format_table([comment], columns, [[f"{move:.3f}" for move in row] for row in some])
-        write_atomically(folder / f"{use}_configurations.csv", text.encode())

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from bayescal.errors import InputError
@@ -133,6 +132,8 @@ def write_page(
 
 def render_page(page: Page, pictures: Mapping[str, Picture], more: Sequence[PageSection] = ()) -> str:
     """Return a page as HTML with these figures by name; all text is escaped, and nothing but its own script runs."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
     here = Path(__file__).parent
     environment = Environment(
         loader=FileSystemLoader(here), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True

@@ -24,7 +24,7 @@ from pydantic_core import PydanticUndefined
 import bayescal
 from bayescal.config.load import FOLDER, read_toml
 from bayescal.config.registry import find_class, list_references
-from bayescal.config.sections import FileMark, Section
+from bayescal.config.sections import FileMark, Section, describe_fields
 from bayescal.experiments import USES
 from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.load import find_kind, load
@@ -106,9 +106,9 @@ def list_places(schema: type[BaseModel], heading: str = "the file itself") -> li
     return list(places.values())
 
 
-def split_unit(name: str, info: FieldInfo) -> tuple[str, str]:
+def split_unit(schema: type[Section], name: str) -> tuple[str, str]:
     """Return a key's meaning and its unit; no unit of what is no number."""
-    meaning = " ".join((info.description or "").split())
+    meaning = " ".join(describe_fields(schema).get(name, "").split())
     stated = UNIT.search(meaning)
     if stated:
         unit = "–" if stated[1] == "1" else stated[1]
@@ -315,7 +315,7 @@ def write_heading(place: Place) -> str:
 def write_row(schema: type[BaseModel], name: str, examples: Examples) -> str:
     """Return the row of a key."""
     info = schema.model_fields[name]
-    meaning, unit = split_unit(name, info)
+    meaning, unit = split_unit(schema, name)
     kind = Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
     example = find_example(schema, name, examples)
     told = f"{meaning} {example[0].upper()}{example[1:]}." if example == TABLE else f"{meaning}<br>{example}"

@@ -25,7 +25,7 @@ from bayescal.calibrated.accuracy import (
     sample_region,
 )
 from bayescal.calibrated.drawn_machines import draw_poses
-from bayescal.calibrated.exported import keep_machines, read_exported
+from bayescal.calibrated.exported import read_exported
 from bayescal.calibrated.formats import export_machine
 from bayescal.calibrated.machine import (
     CalibratedMachine,
@@ -39,7 +39,7 @@ from bayescal.experiments.shared.certificate import CertificateOptions, build_ce
 from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.kinematics import build_machine
 from bayescal.machines.models.six_pus import SixPus
-from bayescal.machines.read import read_reading_model
+from bayescal.machines.read import keep_machines, read_reading_model
 from bayescal.machines.readings import Legs
 
 ROOT = Path(__file__).parents[2]

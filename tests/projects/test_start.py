@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from shares import run_rest
 
@@ -9,7 +10,7 @@ from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.run import check_experiment
 from bayescal.machines.models import MODELS
 from bayescal.machines.read import load_mechanism
-from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, start_project
+from bayescal.projects.start import INSTRUMENTS, MACHINES, OWN, TEMPLATES, start_project
 
 SHIPPED = "examples/own_machine"
 LEGS = [machine for machine in MACHINES if machine != OWN]
@@ -41,6 +42,20 @@ def list_free(folder, machine):
     """All symbols of a machine's model but for the one that moves what others move."""
     blocks = MODELS[MACHINES[machine].model]().blocks(load_mechanism(folder / "machine.toml"))
     return {block.symbol for block in blocks} - {"rho0"}
+
+
+@pytest.mark.parametrize("machine", LEGS)
+def test_simulated_poses_fill_six_tenths_of_every_actuators_range(machine):
+    tables = [
+        np.loadtxt(TEMPLATES / "legs" / f"{use}_configurations.csv", delimiter=",", skiprows=2)
+        for use in ("calibration", "verification")
+    ]
+    assert [len(one) for one in tables] == [30, 10]
+    moves = np.concatenate(tables) / MACHINES[machine].range
+    assert moves.shape[1] == len(MACHINES[machine].base_azimuth)
+    assert np.abs(moves).max() <= 0.6
+    assert np.ptp(moves, axis=0).min() > 0.95 * 1.2
+    assert np.histogram(moves, 6, (-0.6, 0.6))[0].tolist() == pytest.approx([40] * 6, abs=4)
 
 
 def test_the_own_machine_is_the_shipped_example(tmp_path, pytestconfig):

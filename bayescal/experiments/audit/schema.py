@@ -24,8 +24,7 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
-from bayescal.density.priors import INDEPENDENT
-from bayescal.density.schema import ALONE, ModelErrorConfig, PriorConfig, TermName
+from bayescal.density.schema import ALONE, INDEPENDENT, ModelErrorConfig, PriorConfig, TermName
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from math import comb
-from typing import Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
 
 import numpy as np
-import pandas as pd
 
 from bayescal.errors import InputError
 from bayescal.experiments.audit.rows import (
@@ -38,6 +37,9 @@ from bayescal.identifiability.requirements import ErrorsInUse, Requirement, Work
 from bayescal.machines.readings import ReadingModel
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import Units
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_ROUNDS = 20  # of exchanges
 DIGITS = 9  # of a cost, for sums of the same costs to be the same
@@ -304,6 +306,8 @@ def find_infeasible(found: FoundSets) -> list[int]:
 
 def find_front(sets: pd.DataFrame) -> pd.DataFrame:
     """Return the sets that no other one beats at its cost or below, the cheapest first; empty without costs."""
+    import pandas as pd  # a third of a second, for those who have tables
+
     if "cost" not in sets:
         return pd.DataFrame()
     good = sets[sets["goal"].notna()].sort_values(["cost", "goal", "n_sensors"], kind="stable")
@@ -318,6 +322,8 @@ def tabulate_sets(choice: SensorChoice, found: FoundSets) -> dict[str, pd.DataFr
 
     That is ``best_set_parameters`` and ``infeasible_sets``; tables without rows are left out.
     """
+    import pandas as pd
+
     best = found.list_best()
     tables = {
         "sensor_sets": (sets := _tabulate_judged(choice, found)),

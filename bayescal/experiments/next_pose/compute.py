@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from bayescal.calibrated.in_use import MachineInUse
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
-from bayescal.experiments.next_pose.inputs import MeasuredVariant, NextPoseInputs
+from bayescal.experiments.next_pose.inputs import MOST_ERRORS, MeasuredVariant, NextPoseInputs
 from bayescal.experiments.next_pose.rows import (
     OVER_LIMIT,
     ComparedVariantRow,
@@ -40,7 +40,6 @@ from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.next_pose import NextPoseStep, compare_variants, learn_all, look_ahead
 from bayescal.report.numbers import format_fixed
 
-MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are kept
 FEWEST_DRAWS = 200
 HISTORY_POINTS, HISTORY_DRAWS = 8, 500
 SHOWN = 10  # poses of the list to come

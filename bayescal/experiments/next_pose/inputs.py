@@ -51,6 +51,7 @@ TRIES = 20
 DRAWS, SEARCHED = 8, 6
 """Arrays of all draws, and of all candidates and poses of the workspace by channels and parameters."""
 APART = 0.02  # of the half widths of workspace or commands: closer to a measured pose, it would be the same again
+MOST_ERRORS = 2_000_000  # draws times poses of the workspace: their errors are kept
 DECIMALS = {"mm": 3, "deg": 4}
 EXPECTED = "Own sensors, expected"
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from bayescal.config.load import check_section
 from bayescal.errors import InputError
-from bayescal.experiments.next_pose.compute import MOST_ERRORS, compute_next_pose
-from bayescal.experiments.next_pose.inputs import NextPoseInputs, read_next_pose
+from bayescal.experiments.next_pose.inputs import MOST_ERRORS, NextPoseInputs, read_next_pose
 from bayescal.experiments.next_pose.rows import ROWS
 from bayescal.experiments.next_pose.schema import NextPoseConfig
 from bayescal.experiments.runner.load import load
@@ -54,6 +53,8 @@ class NextPose(DerivedExperiment[NextPoseConfig, NextPoseInputs]):
 
     def compute(self, inputs: NextPoseInputs, run: Run) -> Results:
         """Return what to do; it is over in seconds, and nothing is kept on the way."""
+        from bayescal.experiments.next_pose.compute import compute_next_pose  # with pandas, for those who compute
+
         del run
         return compute_next_pose(inputs)
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import InputFile, Names, Positive, Section
 from bayescal.experiments.shared.derived import OfAnotherConfig
 from bayescal.experiments.shared.schema import AccuracyFrame, AnyWorkspaceConfig, Extent, Turns, UnitsConfig
-from bayescal.numerics.geometry import Array
+
+if TYPE_CHECKING:
+    from bayescal.numerics.geometry import Array
 
 
 class NextCandidatesConfig(Section):
@@ -47,6 +48,8 @@ class NextCandidatesConfig(Section):
         """Limits of the pose, shape (6,), mm and rad."""
         if self.position_mm is None or self.rotation_deg is None:
             return None
+        import numpy as np
+
         return np.concatenate([self.position_mm, np.radians(self.rotation_deg)])
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import inspect
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from bayescal.config.built_in import BUILT_IN
 from bayescal.config.load import check_section, read_extended
-from bayescal.config.registry import REGISTRIES, find_class, is_own, list_references, load_class
+from bayescal.config.registry import REGISTRIES, find_class, is_own, list_names, list_references, load_class
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, NumericalError
-from bayescal.experiments import USES
+from bayescal.experiments import SCHEMAS, USES
 from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import check_tables
 
@@ -119,10 +121,12 @@ def list_entries(sort: str) -> list[Entry]:
     what = sort.upper()
     if what not in REGISTRIES:
         raise InputError(f"list: found {sort!r}, expected one of {', '.join(list_sorts())}")
-    return [_describe(what, name) for name in sorted(list_references(what))]
+    return [_describe(what, name) for name in list_names(what)]
 
 
 def _describe(what: str, name: str) -> Entry:
+    if name in BUILT_IN[what]:
+        return Entry(name, BUILT_IN[what][name], own=False)
     try:
         found = load_class(what, name, None)
     except InputError as error:  # of an installed package that is broken: the others are listed all the same
@@ -133,7 +137,11 @@ def _describe(what: str, name: str) -> Entry:
 
 def describe_schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind's config, for editors; InputError for an unknown kind."""
-    if kind not in {**list_references("KINDS"), **USES}:
-        raise InputError(f"schema: found {kind!r}, expected one of {', '.join(sorted(list_references('KINDS')))}")
-    schema: dict[str, Any] = find_kind(kind, None, None).schema.model_json_schema()
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    if kind not in {*list_names("KINDS"), *USES}:
+        raise InputError(f"schema: found {kind!r}, expected one of {', '.join(list_names('KINDS'))}")
+    if kind in SCHEMAS:
+        module, _, name = SCHEMAS[kind].partition(":")
+        found: type[ExperimentConfig] = getattr(import_module(module), name)
+    else:
+        found = find_kind(kind, None, None).schema
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found.model_json_schema()}

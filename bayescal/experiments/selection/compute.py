@@ -110,16 +110,6 @@ def list_tasks(inputs: SelectionInputs) -> list[Task]:
     return tasks + [Task(name, DESIGN, n, repeat, None) for name, n, repeat in designs]
 
 
-def check_problems(inputs: SelectionInputs) -> None:
-    """Raise InputError where poses are too few or too many for the first repeat's candidates, or one is singular."""
-    candidates = inputs.candidates(0)
-    for choice in inputs.config.selections:
-        inputs.method(choice)
-        for criterion in map(label_class, choice.criteria):
-            for n in {min(choice.n_poses), max(choice.n_poses)}:
-                SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)
-
-
 def run_one(inputs: SelectionInputs, task: Task) -> JudgedPoses:
     """Return the outcome of a task: sets of the same repeat start alike, machines of the same repeat are the same."""
     began, selection, config = time.perf_counter(), None, inputs.config

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayescal.config.classes import choose, name_failures
+from bayescal.config.classes import choose, label_class, name_failures
 from bayescal.data.actuators import read_moves
 from bayescal.density.priors import NormalPrior
 from bayescal.errors import InputError
@@ -35,6 +35,7 @@ from bayescal.pose_selection import (
     PoseDomain,
     SeenPoses,
     SelectionMethod,
+    SelectionProblem,
     WorkspaceBox,
     compute_observability,
     even_candidates,
@@ -190,3 +191,13 @@ def _read_table(table: ActuatorTableConfig, folder: Path, design: Design) -> Arr
     mechanism = design.machine.mechanism
     moves = read_moves(folder / table.configurations, table.unit_mm, mechanism.n_legs)
     return np.asarray(mechanism.initial_actuator_positions + moves)
+
+
+def check_problems(inputs: SelectionInputs) -> None:
+    """Raise InputError where poses are too few or too many for the first repeat's candidates, or one is singular."""
+    candidates = inputs.candidates(0)
+    for choice in inputs.config.selections:
+        inputs.method(choice)
+        for criterion in map(label_class, choice.criteria):
+            for n in {min(choice.n_poses), max(choice.n_poses)}:
+                SelectionProblem(candidates, inputs.criterion(criterion), n, inputs.measured)

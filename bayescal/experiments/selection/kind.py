@@ -9,11 +9,9 @@ from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import MemoryEstimate, check_memory, estimate_arrays
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
-from bayescal.experiments.selection.compute import check_problems, compute_selections
-from bayescal.experiments.selection.inputs import SelectionInputs, read_selection
+from bayescal.experiments.selection.inputs import SelectionInputs, check_problems, read_selection
 from bayescal.experiments.selection.rows import ROWS
 from bayescal.experiments.selection.schema import SelectionConfig
-from bayescal.experiments.selection.verdict import Tables
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM
 from bayescal.pose_selection.domain import AT_ONCE
 from bayescal.report.blocks import Page
@@ -49,10 +47,13 @@ class Selection(Experiment[SelectionConfig, SelectionInputs]):
 
     def compute(self, inputs: SelectionInputs, run: Run) -> Results:
         """Return the selections and what calibrations with them achieve."""
+        from bayescal.experiments.selection.compute import compute_selections  # with pandas, for those who compute
+
         return compute_selections(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""
         from bayescal.experiments.selection.page import build_page  # with matplotlib, for those who make pages
+        from bayescal.experiments.selection.verdict import Tables
 
         return build_page(Tables(self.config_of(results), results))

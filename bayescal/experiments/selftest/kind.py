@@ -7,8 +7,8 @@ from pathlib import Path
 from bayescal.config.load import check_section
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
-from bayescal.experiments.selftest.compute import compute_selftest
 from bayescal.experiments.selftest.inputs import SelftestInputs, read_selftest
 from bayescal.experiments.selftest.rows import ROWS
 from bayescal.experiments.selftest.schema import SelftestConfig
@@ -27,7 +27,12 @@ class Selftest(DerivedExperiment[SelftestConfig, SelftestInputs]):
     tables_in = "tables"
 
     read = staticmethod(read_selftest)
-    compute = staticmethod(compute_selftest)
+
+    def compute(self, inputs: SelftestInputs, run: Run) -> Results:
+        """Return what simulations of the study and its data find."""
+        from bayescal.experiments.selftest.compute import compute_selftest  # with pandas, for those who compute
+
+        return compute_selftest(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""

@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from bayescal.density.sessions import LinearSessions, SessionModel, find_state
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results, Summary
-from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs, find_motions
+from bayescal.experiments.sessions.inputs import PPM, UNITS, SessionsInputs, count_kept, find_motions
 from bayescal.experiments.sessions.rows import (
     ChannelMotionRow,
     DriftModelRow,
@@ -322,11 +322,6 @@ def fit_sessions(model: SessionModel, n_draws: int, rng: np.random.Generator) ->
         exact.draws[:, :n],
         exact.draws[:, n:],
     )
-
-
-def count_kept(n_draws: int) -> int:
-    """Return how many draws of the scales are kept with a state."""
-    return max(n_draws // 3, 100)
 
 
 def compute_log_density(linear: LinearSessions, zeta: Array) -> Array:

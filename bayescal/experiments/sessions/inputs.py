@@ -326,3 +326,8 @@ def _find_offsets(measured: MeasuredReadings, theta: Array) -> Array:
     model, own = likelihood.model, np.flatnonzero(measured.internal)
     read = model.read(theta, likelihood.data.values[:, model.select(POSE)], likelihood.data.given)
     return np.asarray(np.nanmean(likelihood.data.values[:, own] - read[:, own], axis=0))
+
+
+def count_kept(n_draws: int) -> int:
+    """Return how many draws of the scales are kept with a state."""
+    return max(n_draws // 3, 100)

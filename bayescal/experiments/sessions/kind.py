@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
-from bayescal.experiments.sessions.compute import compute_sessions, count_kept
-from bayescal.experiments.sessions.inputs import SessionsInputs, read_sessions
+from bayescal.experiments.sessions.inputs import SessionsInputs, count_kept, read_sessions
 from bayescal.experiments.sessions.rows import ROWS
 from bayescal.experiments.sessions.schema import SessionsConfig
 from bayescal.experiments.shared.derived import DerivedExperiment
@@ -28,7 +28,12 @@ class Sessions(DerivedExperiment[SessionsConfig, SessionsInputs]):
     rows = ROWS
     tables_in = "tables"
     read = staticmethod(read_sessions)
-    compute = staticmethod(compute_sessions)
+
+    def compute(self, inputs: SessionsInputs, run: Run) -> Results:
+        """Return what moved between sessions."""
+        from bayescal.experiments.sessions.compute import compute_sessions  # with pandas, for those who compute
+
+        return compute_sessions(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""

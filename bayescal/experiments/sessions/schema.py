@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 from bayescal.config.sections import InputFile, Number, Positive, Section, check_once
 from bayescal.experiments.shared.derived import OfAnotherConfig
 from bayescal.experiments.shared.readings.schema import ProvenanceConfig
-from bayescal.experiments.shared.slips import IgnoredDataErrors
+from bayescal.experiments.shared.schema import IgnoredDataErrors
 
 type Temperature = Annotated[FiniteFloat, Field(ge=-273.15, le=2000.0)]
 type Expansion = Annotated[FiniteFloat, Field(ge=-1000.0, le=1000.0)]

@@ -6,8 +6,6 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from bayescal.calibrated.exported import CALIBRATED, read_exported
-from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.config.sections import ExperimentConfig
 from bayescal.config.trust import trusting
 from bayescal.errors import InputError
@@ -17,6 +15,7 @@ from bayescal.files.atomic import read_json
 from bayescal.files.manifest import overlooking
 
 if TYPE_CHECKING:
+    from bayescal.calibrated.machine import CalibratedMachine
     from bayescal.experiments.runner.results import Results
 
 KEPT = "machine"
@@ -106,6 +105,8 @@ def load_calibrated(
     >>> calibrated.theta.shape, calibrated.covariance.shape
     ((14,), (9, 9))
     """
+    from bayescal.calibrated.exported import CALIBRATED, read_exported
+
     path = path if isinstance(path, Path) else Path(path)
     with trusting(trust), overlooking(allow_changed_files):
         if (path / CALIBRATED).is_file():

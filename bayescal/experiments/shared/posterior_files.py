@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayescal.calibrated.functions import KnownFunctions, read_known
 from bayescal.errors import InputError
 from bayescal.files.netcdf import read_netcdf
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from bayescal.calibrated.functions import KnownFunctions
 
 NAME, ROWS = "readings", "rows"
 PREDICTED = "readings measured again"
@@ -69,6 +70,8 @@ def name_functions(mode: int) -> str:
 
 def read_functions(path: Path, mode: int = 1) -> tuple[KnownFunctions, list[str]] | None:
     """Return what is known of such errors, and names of the parameters beside, of a tree's file; None without any."""
+    from bayescal.calibrated.functions import read_known
+
     try:
         return read_known(path, name_functions(mode))
     except (OSError, ValueError, KeyError):  # none is there

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from bayescal.config.classes import ClassMark, OwnSection
 from bayescal.config.load import MEASURED, OWN
-from bayescal.config.sections import FileMark, Names, NotNegative, Number, Positive, Section
+from bayescal.config.sections import FileMark, Names, NotNegative, Number, Positive, Section, check_once
 from bayescal.limits import LARGEST_KAPPA
 from bayescal.machines.schema import PointsConfig, TargetRingConfig
 from bayescal.numerics.units import choose_arcseconds
@@ -32,6 +32,9 @@ type Range = Annotated[list[Number], Field(min_length=2, max_length=2), AfterVal
 type Bounds = Annotated[Range, AfterValidator(_check_width)]
 type AccuracyFrame = Literal["aligned", "base"]
 """Relative to what a tool is accurate: after a best fit of the frames of base and tool, or in the base frame."""
+type IgnoredDataErrors = Annotated[
+    list[Literal["unit", "legs", "rows", "poses", "channel", "frame"]], AfterValidator(check_once)
+]
 type Extent = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
 

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import AfterValidator
-
-from bayescal.config.sections import check_once
 from bayescal.experiments.runner.results import Summary
 from bayescal.report.blocks import Statement
 from bayescal.report.numbers import capitalise, format_significant
@@ -22,10 +17,6 @@ UNIT, LEGS, ROWS, POSES, CHANNEL, FRAME = "unit", "legs", "rows", "poses", "chan
 CORRECTED = "if corrected: "
 MIN_MISFIT_RATIO = 1.5
 """Factor on the misfit below which it is not said: a single reading is one of many."""
-
-type IgnoredDataErrors = Annotated[
-    list[Literal["unit", "legs", "rows", "poses", "channel", "frame"]], AfterValidator(check_once)
-]
 
 
 @dataclass(frozen=True)
@@ -43,7 +34,7 @@ class FoundSlip:
 
     def record(self) -> dict[str, str | float | None]:
         """Return it for a summary, where an infinite gain is none."""
-        return {**asdict(self), "gain": self.gain if np.isfinite(self.gain) else None}
+        return {**asdict(self), "gain": self.gain if math.isfinite(self.gain) else None}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -18,8 +18,6 @@ from bayescal.config.sections import (
     Section,
     check_once,
 )
-from bayescal.density.outliers import NORMAL, Contaminated, Outliers, StudentT
-from bayescal.density.priors import SharePrior
 from bayescal.density.schema import ModelErrorConfig, PriorConfig, TermNames
 from bayescal.errors import InputError
 from bayescal.experiments.shared.readings.data_schema import DataConfig
@@ -38,10 +36,13 @@ from bayescal.experiments.shared.schema import (
     AccuracyFrame,
     Bounds,
     DeformationConfig,
+    IgnoredDataErrors,
     UnitsConfig,
 )
-from bayescal.experiments.shared.slips import IgnoredDataErrors
 from bayescal.inference.schema import Effort, EvidenceConfig, SamplerConfig
+
+if TYPE_CHECKING:
+    from bayescal.density.outliers import Outliers
 
 
 def _tag_error(value: Any) -> str:
@@ -101,6 +102,9 @@ class VariantConfig(FreeConfig):
     @property
     def outliers(self) -> Outliers:
         """What poses are like that are wrong as a whole."""
+        from bayescal.density.outliers import NORMAL, Contaminated, StudentT
+        from bayescal.density.priors import SharePrior
+
         if self.outlier_fraction is not None:
             return Contaminated(SharePrior(self.outlier_fraction))
         return NORMAL if self.student_t_dof is None else StudentT.centred(self.student_t_dof)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from bayescal.data.truth import round_as_written
 from bayescal.experiments.runner.experiment import Experiment
@@ -24,6 +23,9 @@ from bayescal.numerics.geometry import Array
 from bayescal.report.blocks import KeyFigure, Page, PageSection, Statement
 from bayescal.report.numbers import format_count
 from bayescal.report.row_tables import tabulate_rows
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 KIND = "Simulation"
 MOST_TRIED = 100_000  # readings that are drawn before a run, to see that they can be

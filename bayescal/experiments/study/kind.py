@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError, NumericalError, name_faults
 from bayescal.experiments.runner.memory import MemoryEstimate
 from bayescal.experiments.runner.parallel import Run
@@ -32,6 +31,8 @@ from bayescal.report.blocks import Page
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from bayescal.calibrated.machine import CalibratedMachine
 
 
 class Study(MachineExperiment[StudyConfig, StudyInputs], MeasuringKind, CalibratingKind):

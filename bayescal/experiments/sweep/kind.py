@@ -8,7 +8,6 @@ from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import MemoryEstimate
 from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
-from bayescal.experiments.sweep.compute import compute_sweep, list_missing
 from bayescal.experiments.sweep.inputs import SweepInputs, list_files, read_sweep
 from bayescal.experiments.sweep.rows import ROWS
 from bayescal.experiments.sweep.schema import SweepConfig
@@ -43,10 +42,14 @@ class Sweep(Experiment[SweepConfig, SweepInputs]):
 
     def compute(self, inputs: SweepInputs, run: Run) -> Results:
         """Return all members' figures."""
+        from bayescal.experiments.sweep.compute import compute_sweep  # with pandas, for those who compute
+
         return compute_sweep(inputs, run)
 
     def list_failures(self, results: Results) -> list[str]:
         """Return which figures no member has."""
+        from bayescal.experiments.sweep.compute import list_missing
+
         missing = list_missing(results.summary)
         return [f"found {', '.join(missing)} in no member's summary"] if missing else []
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import ExperimentConfig, InputFile, Number, Positive, Section
@@ -70,6 +70,8 @@ class AxisConfig(Section):
     def settings(self) -> list[Any]:
         """What the axis takes, factors where it has these."""
         if self.range is not None and self.count is not None:
+            import numpy as np
+
             space: Any = np.geomspace if self.scale == "log" else np.linspace
             return [float(f"{value:.6g}") for value in space(self.range[0], self.range[1], self.count)]
         return list(self.values if self.values is not None else self.factors or [])
@@ -140,6 +142,6 @@ class SweepConfig(ExperimentConfig):
         counts = [len(axis.settings) for axis in self.axes]
         if self.mode == "zip" and len(set(counts)) > 1:
             raise ValueError(f"found axes of {counts} entries, expected equal numbers")
-        if self.mode == "grid" and (n := int(np.prod(counts, dtype=object))) > MAX_MEMBERS:
+        if self.mode == "grid" and (n := math.prod(counts)) > MAX_MEMBERS:
             raise ValueError(f"found {n} combinations, expected at most {MAX_MEMBERS}")
         return self

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from bayescal.experiments.runner.memory import MemoryEstimate, estimate_arrays
+from bayescal.experiments.runner.parallel import Run
 from bayescal.experiments.runner.results import Results
 from bayescal.experiments.shared.derived import DerivedExperiment
 from bayescal.experiments.shared.search_memory import KEPT_READINGS, list_sampling, list_variant
-from bayescal.experiments.table.compute import compute_table
 from bayescal.experiments.table.inputs import TableInputs, read_table
 from bayescal.experiments.table.rows import ROWS
 from bayescal.experiments.table.schema import TableConfig
@@ -22,7 +22,12 @@ class LookUpTable(DerivedExperiment[TableConfig, TableInputs]):
     schema = TableConfig
     rows = ROWS
     read = staticmethod(read_table)
-    compute = staticmethod(compute_table)
+
+    def compute(self, inputs: TableInputs, run: Run) -> Results:
+        """Return what actuators have to do at every place of the table."""
+        from bayescal.experiments.table.compute import compute_table  # with pandas, for those who compute
+
+        return compute_table(inputs, run)
 
     def page(self, results: Results) -> Page:
         """Return the page."""

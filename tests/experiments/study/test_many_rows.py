@@ -40,7 +40,9 @@ from bayescal.experiments.runner.run import check_file
 check_file(Path("study.toml"))
 print(*{NEEDLESS} & {*sys.modules})
 """
-NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "scipy.stats", "scipy.interpolate"}
+NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "jinja2"}
+NEEDLESS |= {f"scipy.{name}" for name in ("stats", "interpolate", "cluster")}
+NEEDLESS |= {f"bayescal.calibrated.{name}" for name in ("exported", "functions", "machine", "predict", "tables")}
 
 
 @pytest.fixture(scope="module")

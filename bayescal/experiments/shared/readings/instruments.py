@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from bayescal.calibrated.exported import keep_machines
 from bayescal.config.classes import choose, name_failures
 from bayescal.config.load import read_toml
 from bayescal.config.registry import list_sources
@@ -15,7 +14,7 @@ from bayescal.experiments.shared.design import read_machine
 from bayescal.experiments.shared.readings.schema import InstrumentConfig
 from bayescal.experiments.shared.schema import DeformationConfig, ModelConfig
 from bayescal.experiments.shared.study_schema import StudyConfig, VariantConfig
-from bayescal.machines.read import read_reading_model
+from bayescal.machines.read import keep_machines, read_reading_model
 from bayescal.machines.readings import Instrument, Legs, ReadingModel
 from bayescal.machines.readings.legs import TILTS
 from bayescal.numerics.geometry import Array
