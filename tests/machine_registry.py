@@ -20,7 +20,9 @@ from bayescal.machines.readings import Channel, FunctionModel, Legs, ReadingMode
 from bayescal.machines.readings.camera import CameraConfig, CameraInstrument
 from bayescal.machines.readings.line_machine import LineMachine, LineMachineConfig
 from bayescal.machines.readings.mount import Mount, MountConfig
-from bayescal.machines.readings.placed import (
+from bayescal.machines.readings.places import TwoPlaces
+from bayescal.machines.readings.planes import PlaneConfig, PlaneInstrument
+from bayescal.machines.readings.points import (
     DistanceConfig,
     DistanceInstrument,
     PointConfig,
@@ -28,8 +30,6 @@ from bayescal.machines.readings.placed import (
     PoseConfig,
     PoseInstrument,
 )
-from bayescal.machines.readings.places import TwoPlaces
-from bayescal.machines.readings.planes import PlaneConfig, PlaneInstrument
 from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 

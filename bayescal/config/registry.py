@@ -50,7 +50,7 @@ REGISTRIES = {
     "CLAIMS": Registry(("bayescal.experiments",), "bayescal.claims", "bayescal.experiments.study.claims:Claims"),
     "MACHINES": Registry((f"{_MACHINES}.readings",), "bayescal.machines", f"{_MACHINES}.readings:ReadingMachine"),
     "INSTRUMENTS": Registry(
-        (f"{_MACHINES}.readings",), "bayescal.instruments", f"{_MACHINES}.readings.placed:Instrument"
+        (f"{_MACHINES}.readings",), "bayescal.instruments", f"{_MACHINES}.readings.instrument:Instrument"
     ),
     "READERS": Registry((), "bayescal.readers", "bayescal.data.reader:TableReader"),
     "MODELS": Registry(

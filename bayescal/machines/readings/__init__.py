@@ -2,8 +2,10 @@
 
 from bayescal.machines.readings.base import POSE, BoundReadings, Channel, Coordinate, Given, ReadingModel, Readings
 from bayescal.machines.readings.function import FunctionModel, Parameters, ReadingMachine
+from bayescal.machines.readings.instrument import Instrument
 from bayescal.machines.readings.legs import Legs
-from bayescal.machines.readings.placed import Instrument, InstrumentedMachine, PoseInstrument, locate_tool, place
+from bayescal.machines.readings.placed import InstrumentedMachine, locate_tool, place
+from bayescal.machines.readings.points import PoseInstrument
 from bayescal.machines.readings.tracker import Tracker
 
 MACHINES = {
@@ -18,7 +20,7 @@ MACHINES = {
 }
 """Built-in machines of one function, by the ``kind`` of their files."""
 INSTRUMENTS = {
-    name: f"bayescal.machines.readings.placed:{name.capitalize()}Instrument" for name in ("distance", "point", "pose")
+    name: f"bayescal.machines.readings.points:{name.capitalize()}Instrument" for name in ("distance", "point", "pose")
 } | {
     "camera": "bayescal.machines.readings.camera:CameraInstrument",
     "plane": "bayescal.machines.readings.planes:PlaneInstrument",

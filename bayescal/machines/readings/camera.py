@@ -22,7 +22,8 @@ from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.closed_forms import is_mirrored
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import PoseConfig, PoseInstrument, turn
+from bayescal.machines.readings.instrument import turn
+from bayescal.machines.readings.points import PoseConfig, PoseInstrument
 from bayescal.numerics.analytic import rotation_matrix
 from bayescal.numerics.geometry import Array
 

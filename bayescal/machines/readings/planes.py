@@ -22,7 +22,7 @@ from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.closed_forms import fit_plane, fit_plane_and_tip
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import UNSTATED, Instrument, find_target, list_points, turn
+from bayescal.machines.readings.instrument import UNSTATED, Instrument, find_target, list_points, turn
 from bayescal.numerics.analytic import rotation_matrix
 from bayescal.numerics.geometry import Array
 

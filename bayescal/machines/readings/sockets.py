@@ -19,7 +19,7 @@ import numpy as np
 from bayescal.config.sections import Section, Vector
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import Instrument, find_target, list_points
+from bayescal.machines.readings.instrument import Instrument, find_target, list_points
 from bayescal.numerics.geometry import Array
 
 AXES: Final = ("x", "y", "z")

@@ -15,7 +15,7 @@ from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel
 from bayescal.machines.readings.closed_forms import fit_hand_eye, fit_point_frame, fit_turned_frame, vector_of
 from bayescal.machines.readings.function import Parameters
-from bayescal.machines.readings.placed import Instrument, turn
+from bayescal.machines.readings.instrument import Instrument, turn
 from bayescal.numerics.analytic import rotation_matrix, rotation_vector
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 

@@ -19,8 +19,8 @@ from bayescal.machines.read import load_mechanism
 from bayescal.machines.readings import FunctionModel, Instrument, Legs, PoseInstrument, place
 from bayescal.machines.readings.camera import CameraInstrument
 from bayescal.machines.readings.newton import touch
-from bayescal.machines.readings.placed import DistanceInstrument, PointInstrument
 from bayescal.machines.readings.planes import PlaneInstrument
+from bayescal.machines.readings.points import DistanceInstrument, PointInstrument
 
 MECHANISM = studies.EXPERIMENTS / "audit" / "m2_hexapod_mechanism.toml"
 NOWHERE = (float("nan"),) * 3

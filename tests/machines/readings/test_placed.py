@@ -13,7 +13,7 @@ from bayescal.errors import InputError
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings import Channel, FunctionModel, Instrument, ReadingMachine, place
 from bayescal.machines.readings.newton import share_contacts, touch
-from bayescal.machines.readings.placed import PointConfig, PointInstrument
+from bayescal.machines.readings.points import PointConfig, PointInstrument
 from bayescal.machines.readings.sockets import SocketConfig, SocketInstrument
 
 SEEN = {**machine_registry.LEVEL, **machine_registry.TURNING}
