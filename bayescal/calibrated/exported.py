@@ -24,7 +24,7 @@ from bayescal.config.trust import check_same, hash_file
 from bayescal.errors import InputError, name_faults
 from bayescal.files.csv_tables import format_table, read_matrix, read_table
 from bayescal.files.manifest import check_whole
-from bayescal.files.netcdf import read_netcdf
+from bayescal.files.netcdf import pack_netcdf, read_netcdf
 from bayescal.files.toml import format_toml
 from bayescal.machines.deformations import NominalDeformation
 from bayescal.machines.kinematics import check_home_pose
@@ -229,7 +229,7 @@ def _encode_draws(calibrated: CalibratedMachine) -> bytes:
         {"parameter": list(calibrated.names), "unit": ("parameter", [layout.units[k] for k in calibrated.free])},
         {"title": "; ".join(calibrated.source.describe())},
     )
-    return bytes(content.to_netcdf(engine="h5netcdf"))
+    return pack_netcdf(xr.DataTree(content))
 
 
 def _encode_functions(known: KnownFunctions, calibrated: CalibratedMachine) -> bytes:
@@ -240,7 +240,7 @@ def _encode_functions(known: KnownFunctions, calibrated: CalibratedMachine) -> b
         for name, (dims, one, unit, said) in known.list_arrays().items()
     }
     names = {"channel": list(known.names), "sort": list(known.sorts), "parameter": list(calibrated.names)}
-    return bytes(xr.Dataset(variables, names).to_netcdf(engine="h5netcdf"))
+    return pack_netcdf(xr.DataTree(xr.Dataset(variables, names)))
 
 
 # --- reading -------------------------------------------------------------------------------------------------------

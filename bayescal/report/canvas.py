@@ -7,12 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
-from matplotlib.font_manager import FontProperties
+from matplotlib.font_manager import FontProperties, findfont, get_font
+from PIL import Image
 
 from bayescal.report.svg import SvgRenderer
 
-MOST_TEXTS = 8192
+MOST_TEXTS, MOST_FONTS = 8192, 256
+OPAQUE = (255, 255)  # lowest and highest opacity
+COMPRESSION = 3  # of 9 for PNG; the usual 6 takes half as long again and saves a fiftieth
 DRAWN = (
     *("draw_path", "draw_markers", "draw_path_collection", "draw_quad_mesh", "draw_gouraud_triangles"),
     *("draw_image", "draw_text", "draw_tex", "open_group", "close_group", "start_filter"),
@@ -40,9 +44,13 @@ class Canvas(FigureCanvasAgg):
         return png, svg
 
     def save(self) -> bytes:
-        """Return the figure as PNG."""
+        """Return the figure as PNG, whose pixels have no opacity where all are opaque."""
+        self.draw()  # type: ignore[no-untyped-call]  # of matplotlib
         buffer = io.BytesIO()
-        self.print_png(buffer, metadata={"Software": None})  # type: ignore[no-untyped-call]  # of matplotlib
+        image = Image.fromarray(np.asarray(self.get_renderer().buffer_rgba()))  # type: ignore[no-untyped-call]
+        if image.getchannel("A").getextrema() == OPAQUE:
+            image = image.convert("RGB")
+        image.save(buffer, format="png", compress_level=COMPRESSION, dpi=(self.figure.dpi, self.figure.dpi))
         return buffer.getvalue()
 
 
@@ -61,6 +69,10 @@ class Renderer(RendererAgg):
         """Return width, height and descent of a line of text, pixels."""
         return _measure(s, prop.copy(), ismath, self.dpi)
 
+    def _get_font_height_metrics(self, prop: FontProperties) -> tuple[float | None, float | None, float | None]:
+        """Return ascent, descent and gap of a font's lines, pixels; matplotlib would read the font for each text."""
+        return _measure_lines(prop.copy(), self.dpi)
+
 
 @lru_cache(MOST_TEXTS)
 def _measure(text: str, font: FontProperties, ismath: object, dpi: float) -> tuple[float, float, float]:
@@ -72,3 +84,19 @@ def _measure(text: str, font: FontProperties, ismath: object, dpi: float) -> tup
 @lru_cache(1)
 def _make_ruler(dpi: float) -> RendererAgg:
     return RendererAgg(1, 1, dpi)  # type: ignore[no-untyped-call]  # of matplotlib
+
+
+@lru_cache(MOST_FONTS)
+def _measure_lines(prop: FontProperties, dpi: float) -> tuple[float | None, float | None, float | None]:
+    """Return what `matplotlib.text.Text` finds of a font, in the same order of its tables; None of one without."""
+    font: Any = get_font(findfont(prop))
+    typographic, horizontal = font.get_sfnt_table("OS/2"), font.get_sfnt_table("hhea")
+    if typographic is not None:
+        lines = typographic["sTypoAscender"], -typographic["sTypoDescender"], typographic["sTypoLineGap"]
+    elif horizontal is not None:
+        lines = horizontal["ascent"], -horizontal["descent"], horizontal["lineGap"]
+    else:
+        return None, None, None
+    scale = 1 / font.get_sfnt_table("head")["unitsPerEm"] * prop.get_size_in_points() * dpi / 72
+    ascent, descent, gap = (scale * one for one in lines)
+    return ascent, descent, gap

@@ -10,7 +10,7 @@ import base64
 import io
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from inspect import signature
 from typing import Any, NamedTuple
 
@@ -31,10 +31,13 @@ FONT_UNITS = 6400.0  # of a glyph's coordinates, for one em
 COORDINATES, SHAPES = 1, 2  # decimals; the shape of a mark is drawn many times
 FONTS = {"DejaVuSans": "G", "DejaVuSans-Oblique": "O", "DejaVuSans-Bold": "B"}  # how ids of their glyphs begin
 text_to_path: Any = any_text_to_path  # whose types say less than it gives
+FONT_UNIT = FONT_UNITS / text_to_path.FONT_SCALE
 CAPS = {"projecting": "square", "butt": "butt", "round": "round"}
 CONTROLS = {Path.CURVE3: 1, Path.CURVE4: 2}  # points of a curve before its end
 OFF_HALVES = 1e-5  # of the last digit: a layout that differs by less is rounded alike
 MOST_TEXTS, MOST_NUMBERS = 4096, 32768
+_shapes: dict[str, Any] = {}
+"""Vertices and codes of all glyphs that were written, by matplotlib's names of them."""
 
 
 class Glyphs(NamedTuple):
@@ -379,29 +382,38 @@ class SvgRenderer(RendererBase):
 def _set_text(text: str, font: FontProperties, is_mathematics: bool) -> Glyphs:
     """Return a line of text as glyphs."""
     if is_mathematics:
-        glyphs, shapes, boxes = text_to_path.get_glyphs_mathtext(font, text)
+        glyphs, shapes, boxes = text_to_path.get_glyphs_mathtext(font, text, _shapes)
     else:
-        glyphs, shapes, boxes = text_to_path.get_glyphs_with_font(text_to_path._get_font(font), text)
-    drawn, defined, unit = list[str](), dict[str, str](), FONT_UNITS / text_to_path.FONT_SCALE
+        glyphs, shapes, boxes = text_to_path.get_glyphs_with_font(text_to_path._get_font(font), text, _shapes)
+    _shapes.update(shapes)  # no empty dictionary is filled by the former
+    drawn, defined = list[str](), dict[str, str]()
     for name, x, y, size in glyphs:
-        if not len(shapes[name][0]):
+        own, definition = _define_glyph(name)
+        if not definition:
             continue  # a space
-        family, _, number = name.rpartition("-")
-        own = f"{FONTS.get(family, f'{family}-')}{number}".replace("%", "_")
-        if own not in defined:
-            vertices, codes = shapes[name]
-            path = Path(np.asarray(vertices) * (unit, -unit), codes)
-            defined[own] = f'<path id="{own}" d="{write_path(path.cleaned(curves=True), 0)}"/>'
-        across, up = round(x * unit), round(-y * unit)
+        defined[own] = definition
+        across, up = round(x * FONT_UNIT), round(-y * FONT_UNIT)
         if size == 1.0:
             place = "".join(f' {key}="{one}"' for key, one in (("x", across), ("y", up)) if one)
         else:
             place = f' transform="translate({across} {up})scale({write_number(size, 3)})"'
         drawn.append(f'<use href="#{own}"{place}/>')
     for vertices, codes in boxes:
-        path = Path(np.asarray(vertices) * (unit, -unit), codes)
+        path = Path(np.asarray(vertices) * (FONT_UNIT, -FONT_UNIT), codes)
         drawn.append(f'<path d="{write_path(path.cleaned(curves=True), 0)}"/>')
     return Glyphs("".join(drawn), tuple(defined.items()))
+
+
+@cache
+def _define_glyph(name: str) -> tuple[str, str]:
+    """Return a glyph's id and its definition, which is empty where nothing is drawn."""
+    family, _, number = name.rpartition("-")
+    own = f"{FONTS.get(family, f'{family}-')}{number}".replace("%", "_")
+    vertices, codes = _shapes[name]
+    if not len(vertices):
+        return own, ""
+    path = Path(np.asarray(vertices) * (FONT_UNIT, -FONT_UNIT), codes)
+    return own, f'<path id="{own}" d="{write_path(path.cleaned(curves=True), 0)}"/>'
 
 
 def _write_colour(colour: Sequence[float]) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from bayescal.report.canvas import Canvas
 from bayescal.report.pictures import render_picture
@@ -87,3 +89,14 @@ def test_a_layout_that_differs_in_its_last_digits_gives_the_same_bytes():
     first, second = (render_picture(lambda off=off: draw(off)) for off in (0.0, 1e-12))
     assert "<svg" in first.markup
     assert first.markup == second.markup
+
+
+@pytest.mark.parametrize(("ground", "mode"), [("white", "RGB"), ("none", "RGBA")])
+def test_a_png_has_the_canvas_pixels_and_an_opacity_only_where_it_is_needed(ground, mode):
+    figure = Figure(figsize=(2.0, 1.5), dpi=100.0, facecolor=ground)
+    figure.text(0.1, 0.5, "text")
+    canvas = Canvas(figure)
+    image = Image.open(io.BytesIO(canvas.save()))
+    assert (image.mode, image.size) == (mode, (200, 150))
+    assert np.allclose(image.info["dpi"], 100.0, atol=0.01)
+    assert np.array_equal(image.convert("RGBA"), canvas.buffer_rgba())

@@ -20,10 +20,10 @@ import numpy as np
 from bayescal.config.classes import label_class
 from bayescal.experiments.runner.losses import attempt
 from bayescal.experiments.runner.results import Summary
-from bayescal.experiments.shared.array_store import pack_tree
 from bayescal.experiments.shared.posterior_files import choose_draws
 from bayescal.experiments.shared.search_memory import KEPT_READINGS
 from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
+from bayescal.files.netcdf import pack_netcdf
 from bayescal.inference.bridge import BridgeEvidence, estimate_by_bridge
 from bayescal.inference.chain_checks import (
     N_DRAWS,
@@ -277,7 +277,7 @@ class Fit(Estimate):
     def pack(self, tree: xr.DataTree, only_saved: tuple[str, ...]) -> Self:
         """Return it with its tree as a file's bytes instead of what nothing but that needs."""
         found = self.drop(only_saved)
-        return replace(found, evaluated=found.evaluated | {TREE: pack_tree(tree)})
+        return replace(found, evaluated=found.evaluated | {TREE: np.frombuffer(pack_netcdf(tree), dtype=np.uint8)})
 
     def drop(self, only_saved: tuple[str, ...]) -> Self:
         """Return it without what nothing but its file needs."""

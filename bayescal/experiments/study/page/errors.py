@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from functools import partial
 from textwrap import fill as fill_lines
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -40,6 +40,9 @@ from bayescal.report.numbers import (
 )
 from bayescal.report.style import GREY, INK, LEG_COLOURS, PALE, RED
 from bayescal.report.symbols import describe_deformation, quote
+
+if TYPE_CHECKING:
+    from bayescal.numerics.geometry import Array
 
 SHADES = {"calibration": 0.85, "verification": 0.35}
 WIDTH = 0.38
@@ -140,10 +143,10 @@ def draw_error_bars(
     panels = figure.subplots(1, len(scales), gridspec_kw=margins, squeeze=False)[0]
     for axes, scale in zip(panels, scales, strict=True):
         errors = scale.factor * predictions.groupby(["variant", "use"])[scale.column].agg(["mean", "max"])
-        for k, name in enumerate(variants):
-            for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
-                mean, largest = (float(errors[what].get((name, use), math.nan)) for what in ("mean", "max"))
-                _draw_bar(axes, k, side, mean, largest, styles[name].colour, SHADES[use], crowded)
+        for use, side in zip(uses, (-1, 1) if len(uses) > 1 else (0,), strict=True):
+            places = [(name, use) for name in variants]
+            mean, largest = (errors[what].reindex(places).to_numpy(float) for what in ("mean", "max"))
+            _draw_bars(axes, side, mean, largest, [styles[name].colour for name in variants], SHADES[use], crowded)
         axes.set_ylim(0, (1.35 if crowded else 1.3) * float(errors["max"].max()) or 1.0)
         axes.set_xlim(-0.6, max(len(variants), 3) - 0.4)
         axes.set_xticks(range(len(variants)), labels, **(SLANTED if crowded else {}))
@@ -163,20 +166,25 @@ def draw_error_bars(
     return figure
 
 
-def _draw_bar(
-    axes: Axes, place: float, side: int, mean: float, largest: float, colour: str, shade: float, upright: bool
+def _draw_bars(
+    axes: Axes, side: int, mean: Array, largest: Array, colours: Sequence[str], shade: float, upright: bool
 ) -> None:
-    """Draw a bar left (-1) or right (1) of a place or on it (0); its numbers reach away from its neighbour, or up."""
-    centre = place + 0.5 * side * WIDTH
-    axes.bar(centre, largest, width=0.94 * WIDTH, color=colour, alpha=shade, linewidth=0)
+    """Draw bars (V,) left (-1) or right (1) of places 0, 1, … or on them (0).
+
+    Their numbers reach away from their neighbours, or up.
+    """
+    centre = np.arange(len(mean)) + 0.5 * side * WIDTH
+    axes.bar(centre, largest, width=0.94 * WIDTH, color=colours, alpha=shade, linewidth=0)
     axes.hlines(mean, centre - 0.47 * WIDTH, centre + 0.47 * WIDTH, color=INK, linewidth=1.6)
-    numbers = format_significant(mean, 2), format_significant(largest, 2)
-    if upright:
-        text = "/".join(numbers)
-        axes.annotate(text, (centre, largest), (0, 2), textcoords="offset points", ha="center", fontsize=6, rotation=90)
-        return
-    align, text = {-1: "right", 0: "center", 1: "left"}[side], "/\n".join(numbers)  # in degrees they are long
-    axes.annotate(text, (place, largest), (3 * side, 2), textcoords="offset points", ha=align, fontsize=7)
+    align, between = {-1: "right", 0: "center", 1: "left"}[side], "/" if upright else "/\n"  # in degrees they are long
+    for k, both in enumerate(zip(mean, largest, strict=True)):
+        text = between.join(format_significant(float(one), 2) for one in both)
+        looks: dict[str, Any]
+        if upright:
+            looks = {"xytext": (0, 2), "ha": "center", "fontsize": 6, "rotation": 90}
+        else:
+            looks = {"xytext": (3 * side, 2), "ha": align, "fontsize": 7}
+        axes.annotate(text, (centre[k] if upright else k, largest[k]), textcoords="offset points", **looks)
 
 
 def _draw_bounds(predictions: pd.DataFrame, variants: Sequence[str], styles: Styles) -> Drawing:

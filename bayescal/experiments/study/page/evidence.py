@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from arviz_stats.base import array_stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -304,6 +303,8 @@ def _draw_ranks(draws: Mapping[str, Array], n_chains: int, effective: float) -> 
 
     Of each parameter (S,) draws, chains laid end to end; ``effective`` is their smallest effective number.
     """
+    from arviz_stats.base import array_stats  # a third of a second with xarray, for pages with draws
+
     figure = Drawing(figsize=(4.6, 2.6))
     axes = figure.subplots()
     ranks = array_stats.compute_ranks(np.stack(list(draws.values())), axis=-1, relative=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Drawing
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
@@ -191,7 +192,10 @@ def _draw_plan(axes: Axes, rows: pd.DataFrame, marks: Mapping[str, dict[str, Any
     for name, mark in marks.items():
         one, colour = rows[rows["variant"] == name], mark["color"]
         ends = one["x"] + factor * one["dx"], one["y"] + factor * one["dy"]
-        axes.plot(np.stack([one["x"], ends[0]]), np.stack([one["y"], ends[1]]), color=colour, linewidth=0.9, alpha=0.8)
+        moves = np.stack([one[["x", "y"]], np.column_stack(ends)], axis=1)
+        axes.add_collection(
+            LineCollection(list(moves), colors=colour, linewidths=0.9, alpha=0.8, capstyle="projecting")
+        )
         if large:
             wide, high = factor * one["sx"], factor * one["sy"]
             axes.hlines(ends[1], ends[0] - wide, ends[0] + wide, color=colour, linewidth=0.8, alpha=0.7)

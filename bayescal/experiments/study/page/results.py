@@ -122,6 +122,7 @@ class StudyResults:
     draws: dict[str, dict[str, Array]] = field(default_factory=dict)
     n_chains: int = 1  # of the draws, in which they are laid end to end
     modes: dict[str, np.ndarray] = field(default_factory=dict)  # to which of several solutions they belong, from 1
+    _tables: dict[tuple[str, str | None], pd.DataFrame] = field(default_factory=dict, init=False)
     _read: dict[tuple[type[TableRow], str | None], list[Any]] = field(default_factory=dict, init=False)
 
     @classmethod
@@ -171,8 +172,11 @@ class StudyResults:
 
     def table(self, name: str, variant: str | None = None) -> pd.DataFrame:
         """Return a table, or a variant's rows of it; without rows where there is none."""
-        table = self.tables.get(name, pd.DataFrame(columns=NAMES.get(name, ())))
-        return table if variant is None else table[table["variant"] == variant]
+        key = (name, variant)
+        if key not in self._tables:
+            whole = self.tables[name] if name in self.tables else pd.DataFrame(columns=NAMES.get(name, ()))
+            self._tables[key] = whole if variant is None else whole[whole["variant"] == variant]
+        return self._tables[key]
 
     def rows[R: TableRow](self, row: type[R], variant: str | None = None) -> list[R]:
         """Return the rows of a table, or a variant's; those of its first solution where there are several."""
@@ -360,7 +364,7 @@ class StudyResults:
         """Return the factor and the unit in which a parameter's offsets are shown."""
         return scale_of(symbol, unit, self.units)
 
-    @property
+    @cached_property
     def error_scales(self) -> tuple[ErrorScale, ...]:
         """The errors of poses that were measured, each with its unit on the page."""
         factor, unit = self.shown_in("rad")
@@ -439,12 +443,12 @@ class StudyResults:
 
     # --- parameters ----------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def parameters(self) -> pd.DataFrame:
         """One row per posterior and parameter of the machine; ``leg`` is zero where a parameter belongs to none."""
         return self.all_parameters[~self._of_frames & ~self.all_parameters["symbol"].isin(OF_FUNCTIONS)]
 
-    @property
+    @cached_property
     def geometry(self) -> pd.DataFrame:
         """The same of what was found of the machine itself, without noise and errors."""
         return self.parameters[self.parameters["verdict"] != NOISE]
@@ -454,7 +458,7 @@ class StudyResults:
         """The same of the frames of instrument and tool that were found; no rows where they were known."""
         return self.all_parameters[self._of_frames]
 
-    @property
+    @cached_property
     def _of_frames(self) -> pd.Series:
         return self.all_parameters["symbol"].map(lambda symbol: bool(FRAME.fullmatch(symbol)))
 
