@@ -33,10 +33,14 @@ def find_local_imports(path: Path) -> dict[str, Path]:
     elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
     found: dict[str, Path] = {}
     installed: dict[str, bool] = {}
+    looked_for: set[str] = set()
     waiting = [(path.resolve(), "")]
     while waiting:
         file, package = waiting.pop()
         for name in _list_names(_read(file), package):
+            if name in looked_for:
+                continue
+            looked_for.add(name)
             top = name.partition(".")[0]
             if top and top not in installed:
                 installed[top] = _is_installed(top, elsewhere)
