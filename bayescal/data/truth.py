@@ -29,11 +29,11 @@ def round_as_written(values: Array) -> Array:
     """
     flat, scale = np.asarray(np.ravel(values), dtype=np.float64), 10.0**DECIMALS
     with np.errstate(all="ignore"):
-        scaled = flat * scale
-        whole = np.rint(scaled)
-        found = whole / scale
+        scaled = flat.astype(np.longdouble) * scale
+        whole, size = np.rint(scaled), np.abs(scaled)
+        found = whole.astype(np.float64) / scale
         # half a unit in the last place, by which the product is off, may lead across the middle of two integers
-        unsure = ~(np.abs(scaled - whole) + np.spacing(np.abs(scaled)) < 0.5)
+        unsure = ~((np.abs(scaled - whole) + np.spacing(size) < 0.5) & (size < 2.0**53))
     found[unsure] = [float(_write(x)) for x in flat[unsure]]
     return np.asarray(found.reshape(np.shape(values)))
 
