@@ -10,12 +10,13 @@ import ast
 import contextlib
 import copyreg
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import is_dataclass
 from functools import lru_cache
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import module_from_spec, spec_from_file_location
+from itertools import accumulate
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, TypeAliasType, cast, get_type_hints
@@ -26,19 +27,25 @@ def find_local_imports(path: Path) -> dict[str, Path]:
 
     One that cannot be read as Python imports nothing here, and fails when it is imported.
     """
-    root = path.resolve().parent
+    first = path.resolve()
+    root = first.parent
     elsewhere = [one for one in sys.path if Path(one or ".").resolve() != root]
     found: dict[str, Path] = {}
-    installed: dict[str, bool] = {}
-    waiting = [(path.resolve(), "")]
+    installed: dict[str, bool] = {"": True}
+    looked_for: set[str] = set()
+    waiting = [(first, "")]
     while waiting:
         file, package = waiting.pop()
         for name in _list_names(_read(file), package):
             top = name.partition(".")[0]
-            if top and top not in installed:
+            if top not in installed:
                 installed[top] = _is_installed(top, elsewhere)
-            for module, place in () if installed.get(top, True) else _locate(name, root):
-                if module not in found and place.is_relative_to(root) and place != path.resolve():
+            for module in () if installed[top] else accumulate(name.split("."), "{}.{}".format):
+                if module in looked_for:
+                    continue
+                looked_for.add(module)
+                place = _locate(module, root)
+                if place is not None and place.is_relative_to(root) and place != first:
                     found[module] = place
                     inside = module if place.name == "__init__.py" else module.rpartition(".")[0]
                     waiting.append((place, inside))
@@ -70,15 +77,10 @@ def _list_names(content: bytes, package: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _locate(name: str, root: Path) -> Iterator[tuple[str, Path]]:
-    """Yield the modules of a dotted name that are files beside a root, its packages first."""
-    parts = name.split(".")
-    for n in range(1, len(parts) + 1):
-        place = root.joinpath(*parts[:n])
-        for file in (place / "__init__.py", place.with_suffix(".py")):
-            if file.is_file():
-                yield ".".join(parts[:n]), file.resolve()
-                break
+def _locate(module: str, root: Path) -> Path | None:
+    """Return the file of a module beside a root, a package's before a file of the same name."""
+    place = root.joinpath(*module.split("."))
+    return next((one.resolve() for one in (place / "__init__.py", place.with_suffix(".py")) if one.is_file()), None)
 
 
 def _is_installed(top: str, elsewhere: list[str]) -> bool:

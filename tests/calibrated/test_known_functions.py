@@ -293,7 +293,7 @@ def test_a_drift_of_a_size_that_is_hardly_known_is_seldom_odd(erring, calibrated
         error = unknown @ rng.standard_normal(unknown.shape[-1]) + rng.standard_normal((n, k))
         error += size * np.einsum("pkd,pd->pk", knowledge.drifting, walk)
         drawn = replace(knowledge, rows=np.concatenate([knowledge.rows[..., :-1], error[..., None]], axis=-1))
-        by_mean = replace(drawn, functions=replace(known.functions, drifts=np.ones(8)))
+        by_mean = replace(drawn, functions=replace(known.functions, drifts=np.ones(1)))
         chances.append([weigh_left_over([one], False) for one in (drawn, by_mean)])
     said, by_mean = np.mean(np.array(chances) < 0.02, axis=0)
     assert said < 0.035  # 0.02 and two standard errors

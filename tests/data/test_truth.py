@@ -36,6 +36,16 @@ def test_what_is_written_is_read_back_to_the_last_bit(path):
     assert found[1] != THETA[1]  # it has more digits than are written
 
 
+def test_numbers_are_rounded_as_their_texts_are(rng):
+    """Of all sizes, and next to the middle of two numbers that a text can hold."""
+    sizes = 10.0 ** rng.uniform(-15.0, 20.0, 2000) * rng.choice([-1.0, 1.0], 2000)
+    middles = (np.arange(-500, 500) + 0.5) * 1e-12 + np.array([[0.0], [0.1], [300.0], [4000.0]])
+    values = np.concatenate([sizes, middles.ravel(), np.arange(-500, 500) / 2.0**13, [0.0, -0.0, np.inf, np.nan]])
+    found, expected = round_as_written(values), np.array([float(f"{x:.12f}") for x in values])
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(np.signbit(found), np.signbit(expected))
+
+
 def test_poses_have_a_column_for_each_coordinate():
     text = format_true_poses(["made up"], ("x_mm", "phi_rad"), ["C1", "V1"], np.array([[1.0, 0.5], [-2.0, 0.25]]))
     assert text.splitlines() == [

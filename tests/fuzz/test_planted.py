@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz import disturbed, suite
-from fuzz.disturbed import Stage
+from fuzz.disturbed import Stage, Undisturbed
 from fuzz.judged import judge_call
 
 from bayescal.errors import InputError
@@ -106,21 +106,32 @@ def stage(simulation, tmp_path) -> Stage:
     return Stage(simulation, 1, tmp_path / "stage")
 
 
-def disturb(stage: Stage, how: str, seed: int = 3) -> list[str]:
+def run_quietly(stage: Stage) -> Undisturbed:
+    """Return what a run in an empty folder leaves that nobody disturbs."""
     shutil.rmtree(stage.folder, ignore_errors=True)
-    before = Stage(stage.config, stage.seed, stage.folder / "quiet")
-    for one in (before, stage):
-        one.out.parent.mkdir(parents=True)
-    quiet, faults = disturbed.run_undisturbed(before)
-    return faults or disturbed.disturb(stage, quiet, how, np.random.default_rng(seed))
+    stage.out.parent.mkdir(parents=True)
+    quiet, faults = disturbed.run_undisturbed(stage)
+    assert faults == []
+    return quiet
+
+
+def disturb(stage: Stage, quiet: Undisturbed, how: str, seed: int = 3) -> list[str]:
+    shutil.rmtree(stage.folder, ignore_errors=True)
+    stage.out.parent.mkdir(parents=True)
+    return disturbed.disturb(stage, quiet, how, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def quiet(ground, tmp_path_factory) -> Undisturbed:
+    return run_quietly(Stage(ground.root / SIMULATION, 1, tmp_path_factory.mktemp("quiet")))
 
 
 @pytest.mark.parametrize("how", disturbed.DISTURBANCES)
-def test_a_simulation_survives(how, stage):
-    assert [fault for fault in disturb(stage, how) if disturbed.NOT_POSSIBLE not in fault] == []
+def test_a_simulation_survives(how, stage, quiet):
+    assert [fault for fault in disturb(stage, quiet, how) if disturbed.NOT_POSSIBLE not in fault] == []
 
 
-def test_results_put_in_place_file_by_file_are_found(stage, monkeypatch):
+def test_results_put_in_place_file_by_file_are_found(stage, quiet, monkeypatch):
     def publish(store: Store) -> None:
         store.out.mkdir(exist_ok=True)
         for path in sorted(store.staged.rglob("*")):
@@ -128,7 +139,7 @@ def test_results_put_in_place_file_by_file_are_found(stage, monkeypatch):
         store.discard()
 
     monkeypatch.setattr(Store, "publish", publish)
-    assert any("not whole" in fault or "half" in fault for fault in disturb(stage, "killed while ending"))
+    assert any("not whole" in fault or "half" in fault for fault in disturb(stage, quiet, "killed while ending"))
 
 
 def test_numbers_that_hang_on_what_went_before_are_found(stage, monkeypatch):
@@ -141,7 +152,7 @@ def test_numbers_that_hang_on_what_went_before_are_found(stage, monkeypatch):
         return found
 
     monkeypatch.setattr(Simulation, "compute", forget)
-    assert disturb(stage, "killed while writing")
+    assert disturb(stage, run_quietly(stage), "killed while writing")
 
 
 @pytest.mark.parametrize("left", ["a run of its own", "a worker that nothing ends"])
@@ -166,5 +177,6 @@ def test_a_dead_process_ends_the_suite_and_names_the_case(left, monkeypatch):
 
 def test_a_lock_that_is_none_is_found(stage, monkeypatch):
     monkeypatch.setattr(frame, "hold_lock", lambda *_: nullcontext())
-    faults = [fault for seed in range(4) for fault in disturb(stage, "two runs on one --out", seed)]
+    quiet = run_quietly(stage)
+    faults = [fault for seed in range(4) for fault in disturb(stage, quiet, "two runs on one --out", seed)]
     assert any("one refused" in fault for fault in faults)

@@ -42,12 +42,23 @@ z = 0.02
 """
 
 
+def _write(folder):
+    """Write a design beside a tiny study and return its path."""
+    studies.write_tiny_study(folder / "tiny")
+    (folder / "design.toml").write_text(DESIGN)
+    return folder / "design.toml"
+
+
 @pytest.fixture
 def design(tmp_path):
-    """Return the path of a design beside a tiny study."""
-    studies.write_tiny_study(tmp_path / "tiny")
-    (tmp_path / "design.toml").write_text(DESIGN)
-    return tmp_path / "design.toml"
+    return _write(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return plan and draws of the design as it is, and its study."""
+    path = _write(tmp_path_factory.mktemp("whole"))
+    return *_draw(path), studies.load_study(path.parent / "tiny" / "study.toml")
 
 
 def _read(path):
@@ -59,8 +70,8 @@ def _draw(path):
     return draw_plan(read_design(load_audit(path), path.parent), Run())
 
 
-def test_machine_tolerances_and_poses_are_the_studys(design):
-    plan, study = _read(design), studies.load_study(design.parent / "tiny" / "study.toml")
+def test_machine_tolerances_and_poses_are_the_studys(whole):
+    plan, _, study = whole
     poses, data, model = study.measured[0].poses.select(~study.verification), plan.variant.data, plan.variant.model
     assert set(plan.symbols) == {"l", "kappa"}
     expected = {"l": 2.0, "kappa": 0.01}
@@ -73,8 +84,8 @@ def test_machine_tolerances_and_poses_are_the_studys(design):
     assert plan.maker.model.name == study.pads.mechanism.name
 
 
-def test_derivatives_are_taken_at_the_posterior_mean(design):
-    plan, draws = _draw(design)
+def test_derivatives_are_taken_at_the_posterior_mean(whole):
+    plan, draws, _ = whole
     assert len(draws.values) >= 2000
     assert np.allclose(plan.parameters.nominal, draws.values.mean(axis=0), rtol=1e-12)
     start, layout = plan.posterior.sampling.start, plan.variant.model.layout
@@ -83,9 +94,8 @@ def test_derivatives_are_taken_at_the_posterior_mean(design):
     assert not np.delete(offset, free).any()
 
 
-def test_noise_is_that_of_model_error_and_measured_matrix(design):
-    plan, draws = _draw(design)
-    study = studies.load_study(design.parent / "tiny" / "study.toml")
+def test_noise_is_that_of_model_error_and_measured_matrix(design, whole):
+    plan, draws, study = whole
     own, n = plan.variant.internal, study.pads.mechanism.n_legs
     travel = study.pads.displacement[~study.verification]
     by_entry = np.einsum("ij,pk->pijk", np.eye(n), travel) * ~np.eye(n, dtype=bool)
@@ -134,8 +144,8 @@ def test_files_of_the_study_are_the_audits(design):
     assert hash_identity(identify(config, design.parent, names)) == before
 
 
-def test_audit_of_a_study_runs_with_its_what_ifs(design):
-    audit = run_audit(_read(design), Run())
+def test_audit_of_a_study_runs_with_its_what_ifs(whole):
+    audit = run_audit(whole[0], Run())
     assert audit.analysis.structure.rank == 12
     assert all(outcome.information is not None for outcome in audit.scenarios)
     assert 0.0 < audit.outlooks[0].predicted_sd < audit.outlooks[0].prior_sd

@@ -137,23 +137,32 @@ offset_mm = 500.0
 """
 
 
-@pytest.fixture
-def touching(tmp_path):
-    """Return the config of a simulation of an arm whose tool comes into two sockets and onto a plane."""
-    shutil.copy(ARM, tmp_path)
+def write_touching(folder):
+    """Write a simulation of an arm whose tool comes into two sockets and onto a plane; return its config."""
+    shutil.copy(ARM, folder)
     sensors = (
         f"[sensors]\n{JOINTS}ball = {{ noise_um = 30.0 }}\nbowl = {{ noise_um = 30.0 }}\nbed = {{ noise_um = 10.0 }}\n"
     )
     common = COMMON.format(kind="touch")
-    path = tmp_path / "simulate.toml"
+    path = folder / "simulate.toml"
     path.write_text(
         SIMULATION.format(common=common, stated=SOCKETS + TOUCHED, sensors=sensors, own=ZEROS, frames="", fixed="")
     )
     return path
 
 
-def test_simulated_tools_touch_one_instrument_each_and_it_reads_zero(touching, rng):
-    files = studies.simulate(touching).files
+@pytest.fixture
+def touching(tmp_path):
+    return write_touching(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Return the files that the simulation gives."""
+    return studies.simulate(write_touching(tmp_path_factory.mktemp("touching"))).files
+
+
+def test_simulated_tools_touch_one_instrument_each_and_it_reads_zero(touching, files, rng):
     studies.write_texts(touching.parent / "data", files)
     table, pose, true = (
         pd.read_csv(touching.parent / "data" / f"{name}.csv", comment="#")
@@ -196,9 +205,9 @@ bowl_place = {{ prior = "normal", sd = 5.0 }}
 
 
 @pytest.fixture
-def planned(touching):
+def planned(touching, files):
     """Return an audit of the same at poses of a file, which says who reads in a row, and the file."""
-    studies.write_texts(touching.parent / "data", studies.simulate(touching).files)
+    studies.write_texts(touching.parent / "data", files)
     table = pd.read_csv(touching.parent / "data" / "true_poses.csv", comment="#")
     table["instruments"] = ["ball", "bowl", "bed"] * 8
     table.to_csv(touching.parent / "poses.csv", index=False)

@@ -19,6 +19,7 @@ from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, read_model, survey_twin
+from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
 from bayescal.machines.read import read_reading_model
@@ -44,7 +45,8 @@ def load_twin(path: Path) -> Twin:
 @pytest.fixture(scope="module")
 def shipped():
     """Return what was seen of the shipped telescope."""
-    return studies.load_study(studies.TELESCOPE / "study.toml").pads
+    config = load_experiment(studies.TELESCOPE / "study.toml")
+    return StudyInputs.load(config, studies.TELESCOPE, ["six_pus/none"]).pads
 
 
 @pytest.fixture

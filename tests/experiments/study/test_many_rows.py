@@ -37,7 +37,8 @@ LOADED = """
 import sys
 from pathlib import Path
 from bayescal.experiments.runner.run import check_file
-check_file(Path("study.toml"))
+for folder in sys.argv[1:]:
+    check_file(Path(folder, "study.toml"))
 print(*{NEEDLESS} & {*sys.modules})
 """
 NEEDLESS = {"pandas", "xarray", "matplotlib", "arviz_stats", "jinja2"}
@@ -121,11 +122,12 @@ def test_a_first_look_does_not_pass_one_row_that_is_wrong(far, study):
 # --- what is loaded and said -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("machine", "instrument"), [("hexapod", "poses"), ("own", None)])
-def test_validate_loads_nothing_that_only_runs_need(machine, instrument, tmp_path):
-    start_project(tmp_path / "project", machine, instrument)
-    command = [sys.executable, "-c", LOADED.replace("{NEEDLESS}", repr(NEEDLESS))]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path / "project")
+def test_validate_loads_nothing_that_only_runs_need(tmp_path):
+    projects = {"hexapod": "poses", "own": None}
+    for machine, instrument in projects.items():
+        start_project(tmp_path / machine, machine, instrument)
+    command = [sys.executable, "-c", LOADED.replace("{NEEDLESS}", repr(NEEDLESS)), *projects]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout.split() == []
 
 

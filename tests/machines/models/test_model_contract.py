@@ -49,10 +49,11 @@ CASES = [
 ]
 
 
-@pytest.fixture(params=CASES, ids=", ".join)
-def scene(request, rng):
+@pytest.fixture(scope="module", params=CASES, ids=", ".join)
+def scene(request):
     """Return a machine with every parameter moved, near its home pose: of so many legs, or on guides of a kind."""
     model, form, deformation = request.param
+    rng = np.random.default_rng(19)
     build = machines.build_random_mechanism if form.isdigit() else guided.build_guided
     machine = machines.build_machine(deformation, build(int(form) if form.isdigit() else form, seed=4), model)
     layout, home = machine.layout, check_home_pose(machine)

@@ -68,6 +68,14 @@ def rms_of_lengths(found: dict[str, np.ndarray], published: dict[str, np.ndarray
     return float(np.sqrt(np.mean((join(found) - join(published)) ** 2)))
 
 
+def test_shipped_study_builds_every_variant(inputs):
+    assert list(inputs.variants) == [one.name for one in inputs.config.variants]
+    models, deformations = ("six_pus", "jacobian", "beam", "stiffness"), ("none", "linear", "matrix")
+    assert [v.name for v in inputs.config.variants] == [f"{m}/{d}" for m in models for d in deformations]
+    assert inputs.measured[0].poses.n_poses == 46
+    assert int(inputs.verification.sum()) == 6
+
+
 # --- the published tables --------------------------------------------------------------------------------------------
 
 
