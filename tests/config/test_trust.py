@@ -17,19 +17,12 @@ import pytest
 import bayescal as bc
 from bayescal.config.registry import load_class
 from bayescal.config.trust import list_code
-from bayescal.experiments.runner import run as frame
 from bayescal.projects.start import start_project
 
-pytestmark = pytest.mark.usefixtures("distrust", "unasked")
+pytestmark = pytest.mark.usefixtures("distrust")
 
 TRAP = "from pathlib import Path\nPath({!r}).write_text('executed')\n"
 TOY = 'kind = "{}"\nname = "x"\ntitle = "x"\nseed = 1\n'
-
-
-@pytest.fixture
-def unasked(monkeypatch):
-    """Leave out what `validate` says of data, once it has read them: it takes most of the time."""
-    monkeypatch.setattr(frame, "_ask", lambda question, inputs: [])
 
 
 @pytest.fixture
