@@ -278,17 +278,18 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         The derivatives are by the geometry, then by coefficients of errors common to all rows, which are standard
         normal under the prior. Poses that the density trusts less count less.
         """
-        at_one = (theta[None], errors, zeta[None])
         with np.errstate(all="ignore"):
-            white, at = self.explain(*at_one)
+            white, at = self.explain(theta[None], errors, zeta[None])
             error, slope, by_parameters = self.rows(theta, change, white, at.pose)
-            residual = self.residuals(*at_one)
+            left, common = project_out(slope), self.white_columns(errors, zeta[None], white)[0]
+            error, rows = left_of(left, error), left @ np.concatenate([by_parameters, common], axis=-1)
+            if not errors.outliers.expected:
+                return error, rows
+            residual = self.residuals(theta[None], errors, zeta[None])
             trust = np.sqrt(
                 errors.tails(zeta[None]).trust(np.einsum("cpk,cpk->cp", residual, residual), self.n_spare)[0]
             )
-            left, common = project_out(slope), self.white_columns(errors, zeta[None], white)[0]
-        rows = left @ np.concatenate([by_parameters, common], axis=-1)
-        return trust[:, None] * left_of(left, error), trust[:, None, None] * rows
+        return trust[:, None] * error, trust[:, None, None] * rows
 
     def inform(self, theta: Array, change: Array, errors: ErrorModel, zeta: Array) -> Array:
         """Return the information of the data on the geometry's coordinates, shape (m, m)."""
