@@ -208,8 +208,8 @@ class TrackedPoints(TrackedReadings):
         found = []
         for s in range(len(self.stations)):
             fits = [one[s] for one in self._fits]
-            told = (fit is not None or not seen.any() for fit, seen in zip(fits, self.seen[:, s], strict=True))
-            if not each_point and all(told):
+            determined = (fit is not None or not seen.any() for fit, seen in zip(fits, self.seen[:, s], strict=True))
+            if not each_point and all(determined):
                 position, rotation, covariance = self._gather(fits)
                 found.append(
                     StationObservation(s, None, np.concatenate([position, turn_of(rotation)], axis=1), covariance)

@@ -231,15 +231,27 @@ def test_tables_of_another_kind_are_refused(results, folder, kind, call, tmp_pat
     assert "as in the calibration" in error
 
 
+def test_noise_of_poses_is_no_noise_of_points(results, kind, call, tmp_path):
+    if kind != "points":
+        pytest.skip("poses have noise of poses, and targets tell poses")
+    path = tmp_path / "like.csv"
+    path.write_text(
+        "pose,joint_1_rad,joint_2_rad,joint_3_rad,x_mm,y_mm,z_mm,sd_x_um,sd_y_um,sd_z_um\nC001,0,1,-1,1,2,3,9,9,9\n"
+    )
+    code, _, error = call("verify", results, "--noise-from", path)
+    assert code == 2
+    assert "found poses, expected points as in the calibration" in error
+
+
 def test_an_instrument_of_another_name_is_refused(results, call):
     code, _, error = call("verify", results, "--instrument", "left")
     assert code == 2
     assert "--instrument: found 'left'" in error
 
 
-def test_noise_that_nobody_states_is_asked_for(results, call, tmp_path):
+def test_noise_that_nobody_states_is_asked_for(results, kind, call, tmp_path):
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "inputs")
     code, _, error = call("verify", tmp_path / "out", "--allow-changed-files")
     assert code == 2
-    assert "inputs" in error or "--position-um" in error
+    assert ("found no inputs" if kind == "points" else "--position-um") in error  # where points are is in the inputs

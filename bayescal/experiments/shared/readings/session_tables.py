@@ -140,12 +140,11 @@ class SessionTables:
         Its noise is that of a table of poses, or stated, or the mean of the calibration's own table. InputError where
         none is there.
         """
-        if noise_from is not None and (kind := _find_kind(noise_from)) == "poses":
+        if noise_from is not None and (kind := _find_kind(noise_from)) == "poses" and "points" not in self.sections:
             return self._expect(read_mean_covariance(noise_from, in_part=self.instrument is not None))
         if noise_from is not None:  # at the poses of the calibration
-            actuators = (
-                None if kind not in self.sections else (self.folder or Path()) / str(self.sections[kind].actuators)
-            )
+            section = self.sections.get(kind)
+            actuators = None if section is None else (self.folder or Path()) / str(section.actuators)
             return self._expect(self._find_mean_covariance(self._measure(self._name_table(noise_from, actuators))))
         if self.noise is not None and "points" in self.sections:
             return self._expect(np.diag(np.full(len(self._places), MICROMETRE * self.noise[0]) ** 2))
