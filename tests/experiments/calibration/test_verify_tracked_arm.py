@@ -255,3 +255,31 @@ def test_noise_that_nobody_states_is_asked_for(results, kind, call, tmp_path):
     code, _, error = call("verify", tmp_path / "out", "--allow-changed-files")
     assert code == 2
     assert ("found no inputs" if kind == "points" else "--position-um") in error  # where points are is in the inputs
+
+
+def test_of_several_instruments_one_is_named(folder, kind, call, tmp_path):
+    """Two tables of poses whose actuators are in a table of readings, one of which is verified by."""
+    if kind != "poses":
+        pytest.skip("two tables of poses")
+    for name in ("machine.toml", "data"):
+        copy = shutil.copytree if (folder / name).is_dir() else shutil.copy
+        copy(folder / name, tmp_path / name)
+    table = MEASURED["poses"].replace('actuators = "data/actuators.csv"\n', "")
+    tables = [table.replace('kind = "poses"', f'kind = "poses"\nname = "{name}"') for name in ("left", "right")]
+    tables[1] = tables[1].replace("poses.csv", "right.csv")
+    other = pd.read_csv(tmp_path / "data" / "poses.csv", comment="#")
+    noise = NOISE * np.random.default_rng(1).standard_normal((len(other), 6))
+    other[SEEN] += noise * [1.0, 1.0, 1.0, *np.degrees([1.0, 1.0, 1.0])]
+    other.to_csv(tmp_path / "data" / "right.csv", index=False)
+    readings = '\n[[data]]\nfile = "data/actuators.csv"\n'
+    (tmp_path / "study.toml").write_text(STUDY + readings + "".join(tables))
+    ran = call("run", tmp_path / "study.toml", "--out", tmp_path / "out", "--workers", 1, "--effort", "quick")
+    assert ran[0] == 0, ran
+    code, _, error = call("verify", tmp_path / "out", "--allow-unconverged")
+    assert code == 2
+    assert "found instruments left and right, expected one: --instrument NAME" in error
+    chosen = ["--allow-unconverged", "--instrument", "right"]
+    code, said, error = call("verify", tmp_path / "out", *chosen, "--parameters", "offset", "--shift-arcsec", 300)
+    assert (code, "\nR01," in said) == (0, True), error
+    session = ["--measured", tmp_path / "data" / "right.csv", "--actuators", tmp_path / "data" / "actuators.csv"]
+    assert call("verify", tmp_path / "out", *chosen, *session)[1].startswith("the calibration holds")

@@ -141,7 +141,7 @@ class SessionTables:
         none is there.
         """
         if noise_from is not None and (kind := _find_kind(noise_from)) == "poses" and "points" not in self.sections:
-            return self._expect(read_mean_covariance(noise_from, in_part=self.instrument is not None))
+            return self._expect_poses(noise_from)
         if noise_from is not None:  # at the poses of the calibration
             section = self.sections.get(kind)
             actuators = None if section is None else (self.folder or Path()) / str(section.actuators)
@@ -150,10 +150,15 @@ class SessionTables:
             return self._expect(np.diag(np.full(len(self._places), MICROMETRE * self.noise[0]) ** 2))
         if self.noise is not None:
             return self._expect(build_covariance(*self.noise))
-        for section in self.sections.values():
-            if self.folder is not None and (self.folder / section.file).is_file():
+        for kind, section in self.sections.items():
+            if self.folder is not None and (own := self.folder / section.file).is_file():
+                if kind == "poses":  # whose actuators may be in a table of readings
+                    return self._expect_poses(own)
                 return self._expect(self._find_mean_covariance(self._measure(section)))
         raise InputError("found no pose noise, expected --position-um, --orientation-arcsec, or --noise-from POSES.csv")
+
+    def _expect_poses(self, table: Path) -> Measurements:
+        return self._expect(read_mean_covariance(table, in_part=self.instrument is not None))
 
     def _expect(self, covariance: Array) -> Measurements:
         if self.instrument is None:
