@@ -17,6 +17,7 @@ from bayescal.experiments.shared.estimate import estimate_posterior
 from bayescal.inference import SAMPLERS
 from bayescal.inference.samplers import EvidenceCheck
 from bayescal.inference.schema import EvidenceConfig, SamplerConfig
+from bayescal.limits import ESS_BULK_WANTED
 
 EFFORT = EvidenceConfig(draws=4000, max_draws=20_000)
 LITTLE = {"smc": {"runs": 4, "chains": 128}, "nautilus": {"live_points": 300, "networks": 0, "effective_draws": 1000}}
@@ -37,6 +38,15 @@ def posterior():
 def usual(posterior):
     """Return what the default finds."""
     return estimate_posterior(posterior, 1, "lengths", SamplerConfig(), EFFORT)
+
+
+def test_steps_go_on_until_means_are_as_sure_as_is_wanted(posterior):
+    few = SamplerConfig(walkers=14)
+    assert few.ensembles * few.walkers * few.plan(is_easy=True)[1] < ESS_BULK_WANTED
+    found = estimate_posterior(posterior, 3, "lengths", few, EFFORT)
+    assert found.diagnostics.ess_bulk.min() >= ESS_BULK_WANTED
+    stated = estimate_posterior(posterior, 3, "lengths", few.model_copy(update={"steps": 15}), EFFORT)
+    assert stated.diagnostics.ess_bulk.min() < ESS_BULK_WANTED
 
 
 @pytest.mark.runs

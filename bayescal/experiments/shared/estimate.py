@@ -53,7 +53,7 @@ from bayescal.inference.schema import EvidenceConfig, SamplerConfig, count_walke
 from bayescal.inference.solutions import Solutions, find_solutions
 from bayescal.inference.stages import answer_first, expect, stage
 from bayescal.inference.target import LogDensity, LogPosterior
-from bayescal.limits import AGREEMENT, MOVED_LIMIT, PARETO_K_LIMIT
+from bayescal.limits import AGREEMENT, ESS_BULK_WANTED, MOVED_LIMIT, PARETO_K_LIMIT
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
@@ -485,7 +485,9 @@ def _draw_by_chains(
 
 
 def _is_enough(found: Exploration, importance: ImportanceEvidence, far: TailDraws, sample: Sample) -> bool:
-    """Whether no diagnostic asks for more steps of a sample."""
+    """Whether no diagnostic asks for more steps of a sample, and means are as sure as is wanted."""
+    if not sample.diagnostics.ess_bulk.min() >= ESS_BULK_WANTED:
+        return False
     stand = _measure_stand(found, sample, far, importance.log_evidence)
     problems = sample.diagnostics.list_problems() + list_stand_problems(stand, sample.log_density.shape[2])
     return not problems and not compare_tail_mass(found, sample, far).list_problems()
