@@ -20,6 +20,10 @@ GREEK = {
     **{"alpha": "α", "beta": "β", "eta": "η", "kappa": "κ", "xi": "ξ"},
     **{"rho": "ρ", "tau": "τ", "phi": "φ", "psi": "ψ", "sigma": "σ"},
 }
+SYMBOL = re.compile(r"([A-Za-z]+)([0-9]{0,2})(?:_([A-Za-z0-9]+))?")
+"""Letters, a number and a subscript."""
+ACTUATOR_ZERO = "rho0"
+"""The one symbol with a superscript, as papers on legs write it; ``s0`` of an own machine would be read as a power."""
 
 INNER = {"mm": "length", "rad": "angle"}
 SHOWN = {
@@ -57,10 +61,12 @@ def is_model_error(symbol: str) -> bool:
 
 def split_symbol(symbol: str) -> tuple[str, str, str]:
     """Return head, subscript and superscript of a parameter's symbol: ``rho0`` is ρ⁰, ``k1_d`` is k with 1d below."""
-    found = re.fullmatch(r"([A-Za-z]+)(0?)([1-9]?)(?:_([A-Za-z0-9]+))?", symbol)
+    if symbol == ACTUATOR_ZERO:
+        return GREEK["rho"], "", "0"
+    found = SYMBOL.fullmatch(symbol)
     if not found:
         return symbol, "", ""
-    return GREEK.get(found[1], found[1]), f"{found[3]}{found[4] or ''}", found[2]
+    return GREEK.get(found[1], found[1]), f"{found[2]}{found[3] or ''}", ""
 
 
 _AS_IT_IS = r"(?:[^$\\]|\\.)*"
@@ -100,9 +106,9 @@ def set_parameter(name: str) -> str:
 
 
 def write_symbol(symbol: str) -> str:
-    """Return a symbol in running text: Greek letters as such."""
-    head, below, above = split_symbol(symbol)
-    return f"{head}{above}{f'_{below}' if below else ''}"
+    """Return a symbol in running text: as it was written, Greek letters as such."""
+    found = SYMBOL.fullmatch(symbol)
+    return symbol if found is None else GREEK.get(found[1], found[1]) + symbol[found.end(1) :]
 
 
 def name_parameter(name: str, member: str = "leg") -> str:

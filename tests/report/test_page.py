@@ -345,6 +345,7 @@ def test_symbols_are_set_with_sub_and_superscripts():
     assert set_symbol("a_x") == "<i>a</i><sub>x</sub>"
     assert set_symbol("kappa") == "<i>κ</i>"
     assert set_symbol("rho0") == "<i>ρ</i><sup>0</sup>"
+    assert set_symbol("s0") == "<i>s</i><sub>0</sub>"
     assert set_symbol("<b>") == "&lt;b&gt;"
 
 

@@ -18,7 +18,7 @@ from bayescal.report.numbers import (
     format_scientific,
     format_significant,
 )
-from bayescal.report.symbols import set_mathematics, set_parameter, split_name
+from bayescal.report.symbols import set_mathematics, set_parameter, split_name, write_symbol
 
 
 def test_numbers_are_rounded_as_the_report_shows_them():
@@ -55,8 +55,18 @@ def test_any_name_of_a_parameter_can_be_set(name):
 
 
 def test_known_forms_have_their_marks():
-    assert [set_parameter(name) for name in ("a_x[3]", "rho0[1]", "wear_of_2[1]")] == [
+    assert [set_parameter(name) for name in ("a_x[3]", "rho0[1]", "s0[2]", "theta0", "k12_d", "wear_of_2[1]")] == [
         "$a_{x,3}$",
         "$ρ_{1}^{0}$",
+        "$s_{0,2}$",
+        "$theta_{0}$",
+        "$k_{12d}$",
         "wear_of_2[1]",
+    ]
+    assert [write_symbol(one) for one in ("rho0", "s0", "k1_d", "beta_max", "wear_of_2")] == [
+        "ρ0",
+        "s0",
+        "k1_d",
+        "β_max",
+        "wear_of_2",
     ]
