@@ -26,7 +26,8 @@ from bayescal.numerics.threads import map_in_threads
 
 VOLUME_STEP = 1e-4  # of a coordinate, for the slope of the logarithms of volumes
 NEARBY, FAR = 8, 3.0  # machines by which the density is tried about its anchor, and how many deviations they are off
-GOOD, ROUGH = 0.1, 0.4  # of what the log-density differs by among them: a fast form that is off by it is good, or bad
+GOOD = 0.1  # of what the log-density differs by among them: a fast form that is off by no more is good
+ROUGH = 0.4  # the same of one that takes what rows have in common, where it is known, for each of them alone
 CLOSE = 0.001  # the same of readings in no machine's own form, which have a density without it
 FAR_NATS = 300.0  # below the anchor, from where such a form is not asked
 MOST_TURNED = 0.5  # share of these for which slopes have to be near enough to the anchor's
@@ -471,7 +472,7 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         if lone is not None and not lone.is_own and off < CLOSE:
             here = fast.density(theta[None], errors, np.zeros((1, errors.n_parameters)))
             return replace(fast, floor=float(here[0]) - FAR_NATS)
-        if lone is None or (lone.is_own and off < ROUGH):
+        if lone is None or (lone.is_own and off < (ROUGH if errors.is_common_known else GOOD)):
             return fast
         return replace(fast, lone=None, frozen=None if frozen is not None and frozen.is_single else frozen)
 
@@ -479,14 +480,17 @@ class CalibrationLikelihood(PoseElimination, Elimination[Sampling, ErrorModel]):
         """Return by how much the fast form for single rows is off from what leaves nothing out, at machines (N, D).
 
         As a share of what these differ by: along ridges that bend they lie far off, and all is off by as much more.
+        Of rows that functions have in common it is that by the stated noise alone, the least that they can have.
         """
-        single = self._is_by_row(errors) or (self.frozen is not None and self.frozen.is_single)
-        if self.lone is None or (self.lone.is_own and not single):
+        if self.lone is None:
             return 0.0
+        fast = self
+        if self.lone.is_own and self.frozen is not None and not self.frozen.is_single:
+            fast, errors = replace(self, frozen=None), errors.without([*errors.noisy, *errors.common])
         at = theta, errors, np.zeros((len(theta), errors.n_parameters))
         with np.errstate(all="ignore"):
             whole = self.whole.density(*at)
-            error = self.density(*at) - whole
+            error = fast.density(*at) - whole
         good = np.isfinite(error)
         if not good.any():
             return 0.0
