@@ -94,7 +94,7 @@ def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedIn
     drawn = np.array([one in random for one in search.posterior.errors.owners], dtype=bool)
     if not noises or base is None or not drawn.any():
         return None
-    weigh = base.weigher.weigh
+    weigh = base.weigher.weigh_each
     start = np.where(drawn, 0.0, base.zeta)
     loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(drawn, ABSENT, zeta)), start)[0]
     if loss <= SURE_OF_SCATTER:
@@ -119,7 +119,7 @@ def _find_taken_up(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedI
     mine = np.array([kind[0] for kind in kinds], dtype=bool)
     if not mine.any():  # no error of the model is there that could take up anything
         return None
-    sizes, weigh = errors.natural(base.zeta), base.weigher.weigh
+    sizes, weigh = errors.natural(base.zeta), base.weigher.weigh_each
     first = int(np.where(mine, sizes, 0.0).argmax())
     size = _say_size(search.readings, float(np.linalg.norm(sizes[mine])), *kinds[first])
     loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(mine, ABSENT, zeta)), base.zeta)[0]
@@ -207,9 +207,9 @@ def _measure_misfit(fit: CauseFit) -> ChiSquare:
 
 def _measure_loss(fit: CauseFit, most: Array) -> float:
     """Return by how many nats readings are explained worse by errors of coordinates that are at most so large."""
-    weigh = fit.weigher.weigh
-    found = profile(lambda zeta: weigh(np.minimum(zeta, most)), [np.minimum(fit.zeta, most)], levels=False)
-    return weigh(fit.zeta) - weigh(np.minimum(found, most))
+    weigher = fit.weigher
+    found = profile(lambda zeta: weigher.weigh_each(np.minimum(zeta, most)), [np.minimum(fit.zeta, most)], levels=False)
+    return weigher.weigh(fit.zeta) - weigher.weigh(np.minimum(found, most))
 
 
 def _list_excesses(

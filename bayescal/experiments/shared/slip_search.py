@@ -196,6 +196,12 @@ class SlipSearch:
         return self.readings.see(self.readings.table, self.readings.begin, None, STARTS)
 
     @cached_property
+    def _first(self) -> LinearisedTable | None:
+        """The same from where these poses are: every cause's first step that leaves the table as it is."""
+        assert self.here is not None
+        return self.readings.see(self.readings.table, self.readings.begin, self.here.pose, 3)
+
+    @cached_property
     def base(self) -> CauseFit | None:
         """The readings as they are, about their own fit."""
         return None if self.here is None else self.fit(Cause("", ""), self.here)
@@ -419,7 +425,9 @@ class SlipSearch:
                 elif cause.without:
                     values[i, j] = self.leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
                 elif cause.noise and (not j or here is not self.here):
-                    values[i, j] = self.try_noise(here, cause, zeta, FACTORS)[0] - 0.5 * float(zeta @ zeta)
+                    values[i, j] = float(self.try_noise(here, cause, zeta[None], FACTORS)[0][0]) - 0.5 * float(
+                        zeta @ zeta
+                    )
         gains = values.max(axis=1) - bases.max()
         return list(zip(causes, gains.tolist(), strict=True))
 
@@ -445,17 +453,16 @@ class SlipSearch:
 
     def try_noise(
         self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
-    ) -> tuple[float, float]:
-        """Return the log-density by the best of some factors on some channels' noise, and that.
+    ) -> tuple[Array, Array]:
+        """Return the log-densities of ζ (B, n) by the best of some factors on some channels' noise, and these, (B,).
 
         The prior of a factor is log-normal.
         """
-        found = []
-        for size in sizes:
-            more = -0.5 * (np.log(size) / USUAL_FACTOR) ** 2
-            value = here.whiten_together(zeta, self.raise_noise(cause, size)).weigh()
-            found.append((value + float(more - np.log(len(FACTORS))), float(size)))
-        return max(found)
+        more = -0.5 * (np.log(sizes) / USUAL_FACTOR) ** 2 - np.log(len(FACTORS))
+        factors = np.stack([self.raise_noise(cause, size) for size in sizes])
+        products = here.multiply(np.repeat(zeta, len(sizes), axis=0), np.tile(factors, (len(zeta), 1)))
+        values = products.weigh().reshape(len(zeta), len(sizes)) + more
+        return values.max(axis=1), np.array(sizes)[values.argmax(axis=1)]
 
     def raise_noise(self, cause: Cause, size: float) -> Array:
         """Return factors on the channels' noise, (K,)."""
@@ -580,25 +587,22 @@ class SlipSearch:
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
         weigher, last = None, -np.inf
         for step in range(MOST_FITS):
-            values = table.values
-            if columns is not None:
-                values = self.posterior.likelihood.comparison.add(values, -(columns @ unknown)[table.rows])
-            seen = self.readings.see(replace(table, values=values), y, start, 0 if step else 3)
+            if step or cause.table is not None or here is not self.here:
+                seen = self._see(table, columns, unknown, y, start, 0 if step else 3)
+            else:
+                seen = self._first
             if seen is None or not seen.stands.any():
                 break  # steps that lead away: as good as the last one
-            if columns is not None:
-                moved = seen.linear.left @ (columns @ unknown)[table.rows][..., None]
-                seen = replace(seen, errors=seen.errors + moved[..., 0])
             start = here.pose.copy()
             start[table.rows] = np.where(np.isfinite(seen.pose), seen.pose, start[table.rows])
             weigher = CauseLikelihood(self, cause, seen)
             if step == 0:
-                zeta = profile(weigher.weigh, starts, turns=not cause.fault)
+                zeta = profile(weigher.weigh_each, starts, turns=not cause.fault)
             elif step == FITS - 1:
-                zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault, turns=False)
+                zeta = profile(weigher.weigh_each, (zeta, self._silence(zeta)), levels=not cause.fault, turns=False)
                 weigher.weigh(zeta)
                 with weigher.held():
-                    zeta = profile(weigher.weigh, (zeta,), levels=False)
+                    zeta = profile(weigher.weigh_each, (zeta,), levels=False)
             before, last = last, weigher.weigh(zeta)
             y, unknown, _ = weigher.solve(zeta)
             if step >= FITS - 1 and last < before + SETTLED:
@@ -607,6 +611,19 @@ class SlipSearch:
             return None
         beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
+
+    def _see(
+        self, table: RowReadings, columns: Array | None, unknown: Array, y: Array, start: Array, n_starts: int
+    ) -> LinearisedTable | None:
+        """Return a table's rows about a machine (m,) and unknowns (k,) of columns, as errors without these."""
+        if columns is None:
+            return self.readings.see(table, y, start, n_starts)
+        effect = (columns @ unknown)[table.rows]
+        values = self.posterior.likelihood.comparison.add(table.values, -effect)
+        seen = self.readings.see(replace(table, values=values), y, start, n_starts)
+        if seen is None:
+            return None
+        return replace(seen, errors=seen.errors + (seen.linear.left @ effect[..., None])[..., 0], sums={})
 
     def _describe(self, weigher: CauseLikelihood, zeta: Array, value: float, beside: float) -> CauseFit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
@@ -631,7 +648,7 @@ class SlipSearch:
             size = weigher.size
             try:
                 with weigher.held():
-                    value, zeta = integrate_sizes(weigher.weigh, zeta)
+                    value, zeta = integrate_sizes(weigher.weigh_each, zeta)
             except (NumericalError, np.linalg.LinAlgError):
                 return found
             weigher.weigh(zeta)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from bayescal.experiments.shared.slip_causes import FACTORS, Cause
+from bayescal.experiments.shared.slip_products import scale_columns
 from bayescal.experiments.shared.slip_rows import LinearisedTable, WhitenedRows
 from bayescal.numerics.geometry import Array
 
@@ -32,8 +33,8 @@ class SearchOptions(Protocol):
 
     def try_noise(
         self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
-    ) -> tuple[float, float]:
-        """Return the log-density by the best of some factors on some channels' noise, and that."""
+    ) -> tuple[Array, Array]:
+        """Return the log-densities (B,) by the best of some factors on some channels' noise, and these (B,)."""
 
     def raise_noise(self, cause: Cause, size: float) -> Array:
         """Return factors on the channels' noise, (K,)."""
@@ -60,35 +61,51 @@ class CauseLikelihood:
         self.factors = before
 
     def weigh(self, zeta: Array) -> float:
-        """Return the log-density; next to none of errors as large as no machine has them.
+        """Return the log-density of one ζ (n,); see `weigh_each`."""
+        return float(self.weigh_each(zeta[None])[0])
 
-        None where the rows' covariance has no factor: errors beside a noise that is lost in their rounding.
+    def weigh_each(self, zeta: Array) -> Array:
+        """Return the log-densities (B,) of ζ (B, n); next to none of errors as large as no machine has them.
+
+        None where the rows' covariance has no factor: errors beside a noise that is lost in their rounding. The size is
+        the last one's.
         """
-        try:
-            value = self._weigh(zeta)
-        except np.linalg.LinAlgError:
-            return NO_FACTOR
+        values = self._weigh(zeta)
         if not self.limited:
-            return value
-        return value - STEEP * float(np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2))
+            return values
+        return values - STEEP * np.sum(np.maximum(zeta - self.search.most, 0.0) ** 2, axis=1)
 
-    def _weigh(self, zeta: Array) -> float:
+    def _weigh(self, zeta: Array) -> Array:
+        if len(zeta) > 1 and (self.cause.without or (self.cause.noise and len(self.factors) > 1)):
+            return np.concatenate([self._weigh(one[None]) for one in zeta])  # factors follow the last one's
+        try:
+            return self._weigh_together(zeta)
+        except np.linalg.LinAlgError:
+            if len(zeta) == 1:
+                return np.array([NO_FACTOR])
+            return np.concatenate([self._weigh(one[None]) for one in zeta])
+
+    def _weigh_together(self, zeta: Array) -> Array:
         cause = self.cause
         if cause.noise:
-            value, self.size = self.search.try_noise(self.seen, cause, zeta, self.factors)
+            values, sizes = self.search.try_noise(self.seen, cause, zeta, self.factors)
+            self.size = float(sizes[-1])
             if len(self.factors) > 1:
                 place = int(np.searchsorted(FACTORS, self.size))
                 self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
-            return value
+            return values
         if cause.without:
-            return self.search.leave_out(self.seen.whiten(zeta), self._without)
-        white = self.seen.whiten_together(zeta, 1.0, cause.columns)
-        value, gain = white.weigh(), 0.0
+            return np.array([self.search.leave_out(self.seen.whiten(one), self._without) for one in zeta])
+        products = self.seen.multiply(zeta, columns=cause.columns)
+        values = products.weigh()
         if cause.toleranced:
-            gain, self.size = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
+            gains, sizes = products.gain_by_factor(np.array(cause.toleranced), cause.factors)
         elif cause.columns is not None:
-            gain, self.size = white.gain(self._find_columns(white), cause.most)
-        return value + gain
+            gains, sizes = products.gain(products.known + np.arange(cause.columns.shape[-1]), cause.most)
+        else:
+            return values
+        self.size = float(sizes[-1])
+        return values + gains
 
     def solve(self, zeta: Array) -> tuple[Array, Array, float]:
         """Return machine (m,) and unknowns (k,) of columns, and the rms that is left.
@@ -112,7 +129,7 @@ class CauseLikelihood:
         if cause.toleranced:
             white = white.scale_tolerances(np.array(cause.toleranced), self.size)
         which = self._find_columns(white)
-        known, unknown, misfit = white.solve(which, white.reduced[2][which] * self.size)
+        known, unknown, misfit = white.solve(which, scale_columns(white.size[which]) * self.size)
         y = known[:m].copy()
         if cause.toleranced:
             y[np.array(cause.toleranced)] *= self.size
