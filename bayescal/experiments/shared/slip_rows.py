@@ -51,6 +51,7 @@ OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
+SLOPE_STEP = 1e-4  # of errors' coordinates: log-densities of some thousand nats are known to 1e-8
 MOST_KEPT = 8  # products by covariances of single rows
 LEVELS = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # of all coordinates of errors at once
 TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, turn by turn
@@ -539,7 +540,7 @@ def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
     def log_density(zeta: Array) -> Array:
         return weigh(zeta) - 0.5 * np.sum(zeta**2, axis=1)
 
-    mode = find_scales_mode(log_density, start)
+    mode = find_scales_mode(log_density, start, SLOPE_STEP)
     return float(log_density(mode[None])[0]) + measure_volume(log_density, mode), mode
 
 
