@@ -289,7 +289,7 @@ def _measure_at_tool(search: SlipSearch, fit: CauseFit) -> Array | None:
             square = square + variance[0]
         if (columns := term.columns(zeta, data)) is not None:
             square = square + (columns[0] ** 2).sum(axis=-1)
-    y, _, _ = fit.weigher.solve(fit.zeta)
+    y, _ = fit.weigher.solve(fit.zeta)
     theta = readings.posterior.theta(np.append(y, np.zeros_like(fit.zeta))[None])[0]
     with np.errstate(all="ignore"):
         by_pose = model.tool(theta, pose, False)[1] * model.pose_scale

@@ -113,6 +113,7 @@ def gain_columns(square: Array, side: Array, scale: Array, variance: Array, most
 class ScaledErrors:
     """Errors common to all rows, each an amplitude times known columns."""
 
+    shape: tuple[int, ...]  # (Q, R): of rows
     acts: tuple[Array, ...]  # C of (Q, R, N_c): what amplitudes of one do to rows, zero of rows that do not stand
     amplitudes: Callable[[Array], Array]  # from ζ (B, n) to (B, C)
 
@@ -130,3 +131,14 @@ class ScaledErrors:
     def size_columns(self, zeta: Array) -> Array:
         """Return the amplitude of each column, (B, N)."""
         return np.repeat(self.amplitudes(zeta), self.widths, axis=-1) if self.acts else np.zeros((len(zeta), 0))
+
+    def list_columns(self, zeta: Array) -> Array:
+        """Return the columns of one ζ (n,), (Q, R, N)."""
+        sizes = self.amplitudes(zeta[None])[0] if self.acts else ()
+        scaled = (size * act for size, act in zip(sizes, self.acts, strict=True))
+        return np.concatenate([np.zeros((*self.shape, 0)), *scaled], axis=-1)
+
+    def pick(self, some: slice) -> ScaledErrors:
+        """Return them of some of the rows."""
+        acts = tuple(act[some] for act in self.acts)
+        return ScaledErrors((len(range(self.shape[0])[some]), *self.shape[1:]), acts, self.amplitudes)

@@ -94,10 +94,15 @@ class LinearisedTable:
     pose: Array
     log_volume: float
     shared: ScaledErrors | None = None  # errors common to all rows; none where one has no single amplitude
-    is_dense: bool = False  # whether these are so many that all rows together have a covariance
     kept: dict[str, tuple[object, Array]] = field(default_factory=dict)
     # products by covariances of single rows, and columns
     sums: dict[tuple[int, bytes], tuple[Array, float, int, Array | None]] = field(default_factory=dict)
+
+    @cached_property
+    def is_dense(self) -> bool:
+        """Whether errors common to all rows are so many that all rows together have a covariance."""
+        n_rows, width = self.errors.size, 0 if self.shared is None else int(self.shared.widths.sum())
+        return n_rows <= MOST_ROWS and width > 0 and width >= n_rows / 2
 
     @property
     def lost(self) -> np.ndarray:
@@ -113,7 +118,8 @@ class LinearisedTable:
 
             def covariance(zeta: Array, factor: Array | float = 1.0, part: slice = part) -> Array:
                 key = (zeta.tobytes(), np.asarray(factor).tobytes())
-                return self._keep("covariance", key, lambda: self.linear.covariance(zeta, factor))[part]
+                every = self._keep("covariance", key, lambda: self.linear.covariance(zeta, factor))
+                return every[..., part, :, :]
 
             def common(zeta: Array, part: slice = part) -> Array:
                 return self.common(zeta)[part]
@@ -122,6 +128,8 @@ class LinearisedTable:
             errors, slope, constant, basis, left = (array[part] for array in arrays)
             own = LinearisedRows(errors, slope, constant, covariance, basis, left, common)
             each = {name: getattr(self, name)[part] for name in ("slope", "errors", "stands", "n_spare", "pose")}
+            if self.shared is not None:
+                each["shared"] = self.shared.pick(part)
             found.append(LinearisedTable(one.rows, own, log_volume=one.log_volume, **each))
         return found
 
@@ -132,8 +140,9 @@ class LinearisedTable:
         return self.kept[what][1]
 
     def common(self, zeta: Array) -> Array:
-        """Return the columns of errors common to all rows."""
-        return self._keep("common", zeta.tobytes(), lambda: self.linear.common(zeta))
+        """Return the columns of errors common to all rows, (Q, R, N)."""
+        list_columns = self.linear.common if self.shared is None else self.shared.list_columns
+        return self._keep("common", zeta.tobytes(), lambda: list_columns(zeta))
 
     def share(self, other: LinearisedTable, zeta: Array) -> tuple[Array, Array]:
         """Return the fewest columns of errors common to all rows of this and of another table, of both."""
@@ -187,7 +196,7 @@ class LinearisedTable:
         gram, volume, flat = np.empty((len(zeta), width, width)), np.empty(len(zeta)), every.reshape(n * r, width)
         weights = shared.amplitudes(zeta) ** 2
         for part in batches(len(zeta), n * r):
-            own = self._spread(zeta[part], factor[part] if isinstance(factor, np.ndarray) else factor)
+            own = self.spread(zeta[part], factor[part] if isinstance(factor, np.ndarray) else factor)
             white, volume[part] = whiten(assemble(own, shared.parts, weights[part]), flat)
             np.matmul(np.swapaxes(white, -1, -2), white, out=gram[part])
         constant = self._penalise(np.where(self.stands, self.linear.constant, 0.0)).sum() + self.log_volume
@@ -201,7 +210,7 @@ class LinearisedTable:
 
         Of each covariance of single rows once: it does not depend on these amplitudes.
         """
-        own = self._spread(zeta, factor)
+        own = self.spread(zeta, factor)
         keys = [(id(columns), one.tobytes()) for one in own]
         new = {key: k for k, key in enumerate(keys) if key not in self.sums}
         if new:
@@ -222,7 +231,7 @@ class LinearisedTable:
         size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)[:, :-1] / np.array(counts)[:, None])
         return RowProducts(gram, np.array(constants) + self.log_volume, known, size)
 
-    def _spread(self, zeta: Array, factor: Array | float) -> Array:
+    def spread(self, zeta: Array, factor: Array | float) -> Array:
         """Return the covariances of single rows, (B, Q, R, R)."""
         stands = self.stands[:, None, None]
         return np.where(stands, self.linear.covariance(zeta, factor), np.eye(self.errors.shape[1]))
@@ -397,15 +406,11 @@ class VariantReadings:
         stands &= np.isfinite(linear.constant)
         n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
         stands &= n_spare > 0
-        own, (n, r) = posterior.errors, errors.shape
-        if own.has_columns and not linear.acts:
-            return LinearisedTable(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume)
-        acts = tuple(np.where(stands[:, None, None], one, 0.0) for one in linear.acts)
-        shared = ScaledErrors(acts, own.amplitudes)
-        dense = own.has_columns and n * r <= MOST_ROWS and int(shared.widths.sum()) >= n * r / 2
-        return LinearisedTable(
-            table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, shared, dense
-        )
+        shared = None
+        if linear.acts or not posterior.errors.has_columns:
+            acts = tuple(np.where(stands[:, None, None], one, 0.0) for one in linear.acts)
+            shared = ScaledErrors(errors.shape, acts, posterior.errors.amplitudes)
+        return LinearisedTable(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, shared)
 
     def measure_rows(self, n_starts: int = 0) -> Array:
         """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).

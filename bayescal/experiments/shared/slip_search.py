@@ -48,6 +48,7 @@ from bayescal.experiments.shared.slip_rows import (
     leave_out_outliers,
     profile,
 )
+from bayescal.experiments.shared.slip_splice import weigh_spliced
 from bayescal.experiments.shared.slip_verdict import (
     BEYOND,
     MIN_CAUSE_GAIN_NAT,
@@ -59,7 +60,7 @@ from bayescal.experiments.shared.slip_verdict import (
     ScoredCause,
     Search,
 )
-from bayescal.experiments.shared.slip_weigher import CauseLikelihood, splice
+from bayescal.experiments.shared.slip_weigher import CauseLikelihood
 from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -399,15 +400,16 @@ class SlipSearch:
         Where the readings fit as they are, about that fit; elsewhere about the machine as expected.
         """
         assert self.here is not None
-        here, states = self.here, [(self.zeta, slop) for slop in SLOPS]
+        here, states, bases = self.here, [(self.zeta, slop) for slop in SLOPS], self._as_expected
         if self.fits and self.base is not None:
             here = self.base.weigher.seen
             states = [(zeta, 1.0) for zeta in (self.base.zeta, self._silence(self.base.zeta))]
+            bases = self._weigh_states(here, np.stack([zeta for zeta, _ in states]), np.ones(len(states)))
+        bases = bases - 0.5 * np.array([float(zeta @ zeta) for zeta, _ in states])
         widths = [0 if one.columns is None else one.columns.shape[-1] for one in causes]
         ends = np.cumsum([0, *widths])
         p, k = self.readings.values.shape
         every = np.concatenate([np.zeros((p, k, 0)), *(one.columns for one in causes if one.columns is not None)], -1)
-        bases = np.array([here.whiten(zeta, slop).weigh() - 0.5 * float(zeta @ zeta) for zeta, slop in states])
         chosen = np.unique([0, max(int(bases.argmax()) - 1, 0), bases.argmax()])
         if here is not self.here:
             chosen = np.arange(len(states))
@@ -486,13 +488,13 @@ class SlipSearch:
                 every = None if self.is_late else self.readings.see(table, y, here.pose, 2)
                 if every is not None:
                     seen |= zip(some, every.split([tables[k] for k in some]), strict=True)
-        share, missing_cost = len(self.some) / max(int(self.some.sum()), 1), self._row_cost(here)
+        share, missing_cost = len(self.some) / max(int(self.some.sum()), 1), self._row_cost
         values = np.full(len(causes), -np.inf)
-        for slop in SLOPS[:2] if self.fits else SLOPS:
-            for k, sight in seen.items():
-                if sight.stands.any():
-                    missing = int(self.some.sum()) - len(sight.rows)
-                    values[k] = max(values[k], sight.whiten(self.zeta, slop).weigh() - missing * missing_cost)
+        slops = SLOPS[:2] if self.fits else SLOPS
+        for k, sight in seen.items():
+            if sight.stands.any():
+                missing = int(self.some.sum()) - len(sight.rows)
+                values[k] = self._weigh_slops(sight, slops).max() - missing * missing_cost
         usual = values[0] if np.isfinite(values[0]) else UNFIT
         rough = [(one, share * float(value - usual)) for one, value in zip(causes, values, strict=True)]
         return [*rough[1:], *self._weigh_shifts(here), *self._weigh_exchanges(here)]
@@ -503,7 +505,7 @@ class SlipSearch:
         n = len(values)
         if n < 4 or not len(own):
             return found
-        usual, row_cost = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS), self._row_cost(here)
+        usual, row_cost = float(self._as_expected.max()), self._row_cost
         for step in (1, -1):  # rows hold what belongs to the one before them, or after them
             chosen = np.arange(n - 1) if step > 0 else np.arange(1, n)
             moved = values.copy()
@@ -511,12 +513,7 @@ class SlipSearch:
             seen = self.readings.see(RowReadings(moved[chosen], chosen), self.readings.begin, here.pose, 3)
             if seen is None:
                 continue
-            mine, common = here.share(seen, self.zeta)
-            weighed = np.full(n, -np.inf)
-            for slop in SLOPS:
-                base = here.whiten(self.zeta, slop, common=mine)
-                white = seen.whiten(self.zeta, slop, common=common)
-                weighed = np.maximum(weighed, splice(base, white, chosen, step))
+            weighed = weigh_spliced(here, seen, self.zeta, SLOPS, chosen, step)
             best = set(1 + np.argsort(-weighed[1 : n - 1])[:FINAL])
             for k in range(1, n - 1):
                 if k not in best:  # counted, but never fitted
@@ -539,7 +536,7 @@ class SlipSearch:
         far = np.flatnonzero(off > OUTLYING * np.median(off))
         if not 2 <= len(far) <= MOST_FAR or not len(own):
             return found
-        usual = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+        usual = float(self._as_expected.max())
         for pair in combinations(far.tolist(), 2):
             moved = values.copy()
             moved[np.ix_(pair, own)] = values[np.ix_(pair[::-1], own)]
@@ -548,7 +545,7 @@ class SlipSearch:
             if seen is None or not seen.stands.any():
                 continue
             text = f"rows {' and '.join(map(self.name_row, pair))} seem to have each other's {kinds}"
-            value = max(seen.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+            value = self._weigh_slops(seen, SLOPS).max()
             found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
 
@@ -572,10 +569,29 @@ class SlipSearch:
             best.setdefault(cause.text, (cause, gain - float(np.log(cause.among))))
         return list(best.values())
 
-    def _row_cost(self, here: LinearisedTable) -> float:
-        """Return what a row of a table counts that is not there, like one that may be anything, negative."""
-        white = here.whiten(self.zeta)
+    @cached_property
+    def _row_cost(self) -> float:
+        """What a row of a table counts that is not there, like one that may be anything, negative."""
+        assert self.here is not None
+        white = self.here.whiten(self.zeta)
         return white.rows.shape[1] * ROW_PENALTY_NAT - float(np.median(white.constant))
+
+    @cached_property
+    def _as_expected(self) -> Array:
+        """Log-densities of the readings about the machine as expected, by each of `SLOPS`."""
+        assert self.here is not None
+        return self._weigh_slops(self.here, SLOPS)
+
+    def _weigh_slops(self, seen: LinearisedTable, slops: Array) -> Array:
+        """Return log-densities of a table by factors (S,) on all noise, (S,)."""
+        return self._weigh_states(seen, np.tile(self.zeta, (len(slops), 1)), slops)
+
+    def _weigh_states(self, seen: LinearisedTable, zeta: Array, slops: Array) -> Array:
+        """Return log-densities of a table by errors ζ (S, n) and factors (S,) on all noise, (S,)."""
+        if seen.lost.any():  # they cost as much as others of the same noise
+            return np.array([seen.whiten(*one).weigh() for one in zip(zeta, slops.tolist(), strict=True)])
+        factors = np.repeat(slops[:, None], len(self.readings.channels), axis=1)
+        return seen.multiply(zeta, factors).weigh()
 
     # --- second round ------------------------------------------------------------------------------------------------
 
@@ -604,12 +620,12 @@ class SlipSearch:
                 with weigher.held():
                     zeta = profile(weigher.weigh_each, (zeta,), levels=False)
             before, last = last, weigher.weigh(zeta)
-            y, unknown, _ = weigher.solve(zeta)
+            y, unknown = weigher.solve(zeta)
             if step >= FITS - 1 and last < before + SETTLED:
                 break
         if weigher is None or not np.isfinite(last):
             return None
-        beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
+        beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
 
     def _see(
@@ -627,7 +643,7 @@ class SlipSearch:
 
     def _describe(self, weigher: CauseLikelihood, zeta: Array, value: float, beside: float) -> CauseFit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
-        cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
+        cause, (y, unknown) = weigher.cause, weigher.solve(zeta)
         more = beside
         if cause.scaled is not None:
             n_read = np.count_nonzero(np.isfinite(self.readings.values[:, cause.scaled]))
@@ -638,6 +654,7 @@ class SlipSearch:
             given = self.posterior.likelihood.data.given
             sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
         text = cause.text if cause.say is None else cause.say(sizes)
+        misfit = weigher.measure_misfit(np.zeros_like(zeta))
         return CauseFit(value + more, misfit, text, zeta, weigher, beside)
 
     def integrate(self, found: CauseFit) -> CauseFit:

@@ -107,13 +107,10 @@ class CauseLikelihood:
         self.size = float(sizes[-1])
         return values + gains
 
-    def solve(self, zeta: Array) -> tuple[Array, Array, float]:
-        """Return machine (m,) and unknowns (k,) of columns, and the rms that is left.
-
-        That in noise and errors as stated, but for a noise that is another one.
-        """
+    def solve(self, zeta: Array) -> tuple[Array, Array]:
+        """Return machine (m,) and unknowns (k,) of columns."""
         y, unknown, _ = self._solve(zeta)
-        return y, unknown, self.measure_misfit(np.zeros_like(zeta))
+        return y, unknown
 
     def measure_misfit(self, zeta: Array) -> float:
         """Return the rms that is left in noise as stated and such errors, but for a noise that is another one."""
@@ -143,17 +140,3 @@ class CauseLikelihood:
         """Return where the cause's columns stand among the white ones."""
         width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
         return white.known + np.arange(width)
-
-
-def splice(base: WhitenedRows, white: WhitenedRows, chosen: np.ndarray, step: int) -> Array:
-    """Return the log-density with rows of one table up to some row, and of another from there on, (P,).
-
-    Backwards for a negative step: rows of the other table up to that row. Rows of the other table are the chosen ones.
-    """
-    order = np.arange(len(chosen))[:: 1 if step > 0 else -1]
-    gram, constant, found = white.total, float(white.constant.sum()), np.full(len(base.rows), -np.inf)
-    for k in order:
-        found[chosen[k]] = base.weigh(gram, constant)
-        gram = gram + base.gram(chosen[[k]]) - white.gram(np.array([k]))
-        constant += float(base.constant[chosen[k]] - white.constant[k])
-    return found
