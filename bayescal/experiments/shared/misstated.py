@@ -13,16 +13,15 @@ from bayescal.experiments.shared.function_errors import has_lengths
 from bayescal.experiments.shared.slip_causes import NOISE, SCATTER, TOLERANCE, WIDE
 from bayescal.experiments.shared.slip_rows import (
     VariantReadings,
-    integrate_sizes,
     leave_out_drift,
     leave_out_outliers,
-    profile,
 )
 from bayescal.experiments.shared.slip_search import (
     RIVAL_WITHIN_NAT,
     CauseFit,
     SlipSearch,
 )
+from bayescal.experiments.shared.slip_sizes import integrate_sizes, profile
 from bayescal.experiments.shared.slip_verdict import MIN_CAUSE_GAIN_NAT, STATED, Rival, ScoredCause
 from bayescal.experiments.shared.slips import EITHER, LARGE, MisstatedInput
 from bayescal.experiments.shared.soundness import ChiSquare

@@ -8,9 +8,6 @@ G the slope by the parameters in their tolerances, B (P, K, k) what a cause does
 the data say: the density is maximal over τ, and pays for having been asked at so many. A parameter whose tolerance is f
 times too tight is a column of G once more, τ² = f² - 1. A noise is a factor on C, a row that does not belong is left
 out, and what was read otherwise is another table: all are weighed by the same log-density of the readings.
-
-The errors' sizes ζ are integrated for each cause by itself (Laplace, `integrate_sizes`): errors that a cause explains
-give way to it, and a cause that leaves their sizes open gains the room that data which need them take from their prior.
 """
 
 from __future__ import annotations
@@ -37,7 +34,6 @@ from bayescal.experiments.shared.slip_products import (
     choose_size,
     scale_columns,
 )
-from bayescal.inference.scales import find_scales_mode, measure_volume
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
@@ -51,10 +47,7 @@ OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
-SLOPE_STEP = 1e-4  # of errors' coordinates: log-densities of some thousand nats are known to 1e-8
 MOST_KEPT = 8  # products by covariances of single rows
-LEVELS = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # of all coordinates of errors at once
-TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, turn by turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -500,53 +493,6 @@ class VariantReadings:
         found, off = search_poses(likelihood, theta, white, starts)
         best = np.where(np.isfinite(off), off, np.inf).argmin(axis=0)
         return np.asarray(found[best, np.arange(len(best))])
-
-
-type Weigh = Callable[[Array], Array]
-"""From errors ζ (B, n) to log-densities (B,)."""
-
-
-def profile(weigh: Weigh, starts: Sequence[Array], levels: bool = True, turns: bool = True) -> Array:
-    """Return the errors' coordinates ζ (n,) with the largest log-density and prior.
-
-    The best of some starts, and of all coordinates at once; from there by turns, one coordinate after the other.
-    """
-
-    def evaluate(zeta: Array) -> Array:
-        found = weigh(zeta) - 0.5 * np.sum(zeta**2, axis=1)
-        return np.where(np.isnan(found), -np.inf, found)
-
-    n = len(starts[0])
-    first = np.stack([*starts, *(np.full(n, size) for size in LEVELS if n and levels)])
-    if len(first) == 1 and not (n and turns):
-        return starts[0]
-    values = evaluate(first)
-    zeta, best = first[values.argmax()], values.max()
-    for steps in TURNS if n and turns else ():
-        for k in range(n):
-            left = np.array(steps)
-            while len(left):  # all from where the last step led that was better
-                moved = np.tile(zeta, (len(left), 1))
-                moved[:, k] += left
-                values = evaluate(moved)
-                better = np.flatnonzero(values > best)
-                if not len(better):
-                    break
-                zeta, best, left = moved[better[0]], values[better[0]], left[better[0] + 1 :]
-    return zeta
-
-
-def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
-    """Return the log-density with the errors' coordinates ζ (n,) integrated over their prior, and the best ones.
-
-    By Laplace's approximation about the optimum that a search from a start leads to.
-    """
-
-    def log_density(zeta: Array) -> Array:
-        return weigh(zeta) - 0.5 * np.sum(zeta**2, axis=1)
-
-    mode = find_scales_mode(log_density, start, SLOPE_STEP)
-    return float(log_density(mode[None])[0]) + measure_volume(log_density, mode), mode
 
 
 def leave_out_drift(readings: VariantReadings) -> VariantReadings:

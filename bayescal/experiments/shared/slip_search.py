@@ -42,12 +42,10 @@ from bayescal.experiments.shared.slip_rows import (
     LinearisedTable,
     RowReadings,
     VariantReadings,
-    WhitenedRows,
-    integrate_sizes,
     leave_out_drift,
     leave_out_outliers,
-    profile,
 )
+from bayescal.experiments.shared.slip_sizes import integrate_sizes, profile
 from bayescal.experiments.shared.slip_splice import weigh_spliced
 from bayescal.experiments.shared.slip_verdict import (
     BEYOND,
@@ -60,7 +58,7 @@ from bayescal.experiments.shared.slip_verdict import (
     ScoredCause,
     Search,
 )
-from bayescal.experiments.shared.slip_weigher import CauseLikelihood
+from bayescal.experiments.shared.slip_weigher import CauseLikelihood, leave_out, weigh_noises
 from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -75,7 +73,6 @@ MOST_ALIKE = 4
 """Causes that are named together: a leg's length, its actuator's zero and heights of its joints do the same."""
 SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 """Factors on all noise about the machine as expected, for what the first order leaves."""
-USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
 QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
@@ -89,7 +86,6 @@ MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
-CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which the rows are summed
 UNFIT = -1e9  # log-density of readings that no machine has at all
 FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried
@@ -198,9 +194,12 @@ class SlipSearch:
 
     @cached_property
     def _first(self) -> LinearisedTable | None:
-        """The same from where these poses are: every cause's first step that leaves the table as it is."""
+        """The same from these poses on: every cause's first step that leaves the table as it is.
+
+        Other places of the workspace led to none that were better.
+        """
         assert self.here is not None
-        return self.readings.see(self.readings.table, self.readings.begin, self.here.pose, 3)
+        return self.readings.see(self.readings.table, self.readings.begin, self.here.pose, 1)
 
     @cached_property
     def base(self) -> CauseFit | None:
@@ -425,9 +424,9 @@ class SlipSearch:
                     gain, _ = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
                     values[i, j] = bases[j] + gain
                 elif cause.without:
-                    values[i, j] = self.leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
+                    values[i, j] = leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
                 elif cause.noise and (not j or here is not self.here):
-                    values[i, j] = float(self.try_noise(here, cause, zeta[None], FACTORS)[0][0]) - 0.5 * float(
+                    values[i, j] = float(weigh_noises(here, cause, zeta[None], FACTORS)[0][0]) - 0.5 * float(
                         zeta @ zeta
                     )
         gains = values.max(axis=1) - bases.max()
@@ -438,39 +437,6 @@ class SlipSearch:
         owners = self.posterior.errors.owners
         of_model = np.array([one is not None and one.of_model for one in owners], dtype=bool)
         return np.where(of_model, np.minimum(zeta, QUIET), zeta)
-
-    def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
-        """Return the log-density where some rows may be anything."""
-        kept = np.ones(len(white.rows), dtype=bool)
-        kept[rows] = False
-        n = white.rows.shape[1]
-        size = np.sqrt(np.mean(white.rows[rows, :, -1] ** 2, axis=1))
-        broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
-        left = white.total - white.gram(rows)
-        if (
-            np.diagonal(left) < CANCELLED * np.diagonal(white.total)
-        ).any():  # nearly all of the sum: no digits are left
-            left = white.gram(kept)
-        return white.weigh(left, float(white.constant[kept].sum() + broad.sum()))
-
-    def try_noise(
-        self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
-    ) -> tuple[Array, Array]:
-        """Return the log-densities of ζ (B, n) by the best of some factors on some channels' noise, and these, (B,).
-
-        The prior of a factor is log-normal.
-        """
-        more = -0.5 * (np.log(sizes) / USUAL_FACTOR) ** 2 - np.log(len(FACTORS))
-        factors = np.stack([self.raise_noise(cause, size) for size in sizes])
-        products = here.multiply(np.repeat(zeta, len(sizes), axis=0), np.tile(factors, (len(zeta), 1)))
-        values = products.weigh().reshape(len(zeta), len(sizes)) + more
-        return values.max(axis=1), np.array(sizes)[values.argmax(axis=1)]
-
-    def raise_noise(self, cause: Cause, size: float) -> Array:
-        """Return factors on the channels' noise, (K,)."""
-        factor = np.ones(len(self.readings.channels))
-        factor[list(cause.noise)] = size
-        return factor
 
     def _weigh_tables(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return causes that change the table, by some of the rows, and by how much better these are."""

@@ -16,28 +16,19 @@ from bayescal.numerics.geometry import Array
 
 BESIDE = 2  # how many factors on either side of the best one are tried as errors change
 NO_FACTOR = -1e9  # log-density of errors with which the rows' covariance has no factor
+USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
+CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which the rows are summed
 STEEP = 100.0  # nats by the square of a coordinate beyond what errors are allowed
 
 
 class SearchOptions(Protocol):
-    """What is asked of a search: how many parameters, the largest errors, other noises, rows that do not count."""
+    """What is asked of a search: how many parameters, the largest errors."""
 
     m: int
 
     @property
     def most(self) -> Array:
         """Coordinates of errors that are not exceeded, (n,)."""
-
-    def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
-        """Return the log-density where some rows may be anything."""
-
-    def try_noise(
-        self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
-    ) -> tuple[Array, Array]:
-        """Return the log-densities (B,) by the best of some factors on some channels' noise, and these (B,)."""
-
-    def raise_noise(self, cause: Cause, size: float) -> Array:
-        """Return factors on the channels' noise, (K,)."""
 
 
 @dataclass(eq=False)
@@ -88,14 +79,14 @@ class CauseLikelihood:
     def _weigh_together(self, zeta: Array) -> Array:
         cause = self.cause
         if cause.noise:
-            values, sizes = self.search.try_noise(self.seen, cause, zeta, self.factors)
+            values, sizes = weigh_noises(self.seen, cause, zeta, self.factors)
             self.size = float(sizes[-1])
             if len(self.factors) > 1:
                 place = int(np.searchsorted(FACTORS, self.size))
                 self.factors = FACTORS[max(place - BESIDE, 0) : place + BESIDE + 1]
             return values
         if cause.without:
-            return np.array([self.search.leave_out(self.seen.whiten(one), self._without) for one in zeta])
+            return np.array([leave_out(self.seen.whiten(one), self._without) for one in zeta])
         products = self.seen.multiply(zeta, columns=cause.columns)
         values = products.weigh()
         if cause.toleranced:
@@ -118,7 +109,7 @@ class CauseLikelihood:
 
     def _solve(self, zeta: Array) -> tuple[Array, Array, float]:
         cause, m = self.cause, self.search.m
-        factor = self.search.raise_noise(cause, self.size) if cause.noise else 1.0
+        factor = raise_noise(cause, self.size, self.seen.linear.left.shape[-1]) if cause.noise else 1.0
         white = self.seen.whiten(zeta, factor, cause.columns)
         if cause.without:
             kept = np.setdiff1d(np.arange(len(white.rows)), self._without)
@@ -140,3 +131,36 @@ class CauseLikelihood:
         """Return where the cause's columns stand among the white ones."""
         width = 0 if self.cause.columns is None else self.cause.columns.shape[-1]
         return white.known + np.arange(width)
+
+
+def leave_out(white: WhitenedRows, rows: np.ndarray) -> float:
+    """Return the log-density where some rows may be anything."""
+    kept = np.ones(len(white.rows), dtype=bool)
+    kept[rows] = False
+    n = white.rows.shape[1]
+    size = np.sqrt(np.mean(white.rows[rows, :, -1] ** 2, axis=1))
+    broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
+    left = white.total - white.gram(rows)
+    # nearly all of the sum: no digits are left
+    if (np.diagonal(left) < CANCELLED * np.diagonal(white.total)).any():
+        left = white.gram(kept)
+    return white.weigh(left, float(white.constant[kept].sum() + broad.sum()))
+
+
+def weigh_noises(seen: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]) -> tuple[Array, Array]:
+    """Return the log-densities of ζ (B, n) by the best of some factors on some channels' noise, and these, (B,).
+
+    The prior of a factor is log-normal.
+    """
+    more = -0.5 * (np.log(sizes) / USUAL_FACTOR) ** 2 - np.log(len(FACTORS))
+    factors = np.stack([raise_noise(cause, size, seen.linear.left.shape[-1]) for size in sizes])
+    products = seen.multiply(np.repeat(zeta, len(sizes), axis=0), np.tile(factors, (len(zeta), 1)))
+    values = products.weigh().reshape(len(zeta), len(sizes)) + more
+    return values.max(axis=1), np.array(sizes)[values.argmax(axis=1)]
+
+
+def raise_noise(cause: Cause, size: float, n_channels: int) -> Array:
+    """Return factors on the channels' noise, (K,)."""
+    factor = np.ones(n_channels)
+    factor[list(cause.noise)] = size
+    return factor
