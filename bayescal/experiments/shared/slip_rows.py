@@ -48,6 +48,7 @@ OUTLYING = 10.0
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
 MOST_KEPT = 8  # products by covariances of single rows
+MOST_HELD = 2**20  # numbers of products that are held together, 8 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,14 @@ class LinearisedTable:
         """Whether errors common to all rows are so many that all rows together have a covariance."""
         n_rows, width = self.errors.size, 0 if self.shared is None else int(self.shared.widths.sum())
         return n_rows <= MOST_ROWS and width > 0 and width >= n_rows / 2
+
+    @property
+    def at_once(self) -> int:
+        """How many sizes of errors are looked at at once."""
+        if self.shared is None:
+            return 1
+        width = self.slope.shape[-1] + (0 if self.is_dense else int(self.shared.widths.sum()))
+        return max(1, MOST_HELD // (width + 1) ** 2)
 
     @property
     def lost(self) -> np.ndarray:
@@ -176,6 +185,11 @@ class LinearisedTable:
             return self._multiply_together(self.shared, zeta, factor, every)
         return self._multiply_by_row(self.shared, zeta, factor, every, columns)
 
+    def weigh(self, zeta: Array, factor: Array) -> Array:
+        """Return the log-densities (B,) without any cause; see `multiply`."""
+        parts = [slice(k, k + self.at_once) for k in range(0, len(zeta), self.at_once)]
+        return np.concatenate([self.multiply(zeta[one], factor[one]).weigh() for one in parts])
+
     def _multiply_each(self, zeta: Array, factor: Array | float, columns: Array | None) -> RowProducts:
         factors = factor if isinstance(factor, np.ndarray) else [factor] * len(zeta)
         whites = [self.whiten(*one, columns) for one in zip(zeta, factors, strict=True)]
@@ -214,7 +228,7 @@ class LinearisedTable:
                 count = max(int(np.count_nonzero(flat[:, -1])), 1)
                 self.sums[key] = flat.T @ flat, float(constant), count, columns
         grams, constants, counts, _ = zip(*(self.sums[key] for key in keys), strict=True)
-        while len(self.sums) > MOST_KEPT:
+        while len(self.sums) > min(MOST_KEPT, self.at_once):
             del self.sums[next(iter(self.sums))]
         scale, m = np.ones((len(zeta), every.shape[-1])), self.slope.shape[-1]
         amplitudes = shared.size_columns(zeta)

@@ -557,7 +557,7 @@ class SlipSearch:
         if seen.lost.any():  # they cost as much as others of the same noise
             return np.array([seen.whiten(*one).weigh() for one in zip(zeta, slops.tolist(), strict=True)])
         factors = np.repeat(slops[:, None], len(self.readings.channels), axis=1)
-        return seen.multiply(zeta, factors).weigh()
+        return seen.weigh(zeta, factors)
 
     # --- second round ------------------------------------------------------------------------------------------------
 

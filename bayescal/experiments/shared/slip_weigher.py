@@ -69,6 +69,8 @@ class CauseLikelihood:
     def _weigh(self, zeta: Array) -> Array:
         if len(zeta) > 1 and (self.cause.without or (self.cause.noise and len(self.factors) > 1)):
             return np.concatenate([self._weigh(one[None]) for one in zeta])  # factors follow the last one's
+        if len(zeta) > (most := self.seen.at_once):
+            return np.concatenate([self._weigh(zeta[k : k + most]) for k in range(0, len(zeta), most)])
         try:
             return self._weigh_together(zeta)
         except np.linalg.LinAlgError:
@@ -154,8 +156,8 @@ def weigh_noises(seen: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[
     """
     more = -0.5 * (np.log(sizes) / USUAL_FACTOR) ** 2 - np.log(len(FACTORS))
     factors = np.stack([raise_noise(cause, size, seen.linear.left.shape[-1]) for size in sizes])
-    products = seen.multiply(np.repeat(zeta, len(sizes), axis=0), np.tile(factors, (len(zeta), 1)))
-    values = products.weigh().reshape(len(zeta), len(sizes)) + more
+    values = seen.weigh(np.repeat(zeta, len(sizes), axis=0), np.tile(factors, (len(zeta), 1)))
+    values = values.reshape(len(zeta), len(sizes)) + more
     return values.max(axis=1), np.array(sizes)[values.argmax(axis=1)]
 
 
