@@ -38,9 +38,10 @@ class LinearisedRows(NamedTuple):
     """Rows at one machine.
 
     ``errors`` (P, R) and ``slope`` (P, R, D) by θ; ``constant`` (P,) of the log-density; ``covariance`` takes what is
-    unknown of the errors, in the posterior's coordinates, and factors (K,) on the stated noise, to (P, R, R). ``basis``
-    (P, K, R): the directions of white readings that they are; ``left`` (P, R, K): how the readings as they are show in
-    them; ``common`` takes what is unknown of the errors to columns of those common to all rows, (P, R, N).
+    unknown of the errors, in the posterior's coordinates (..., n), and factors (..., K) on the stated noise, to
+    (..., P, R, R). ``basis`` (P, K, R): the directions of white readings that they are; ``left`` (P, R, K): how the
+    readings as they are show in them; ``common`` takes what is unknown of the errors to columns of those common to all
+    rows, (P, R, N); ``acts`` are those of amplitudes of one, (P, R, N_c) each, none where one has no single amplitude.
     """
 
     errors: Array
@@ -50,6 +51,7 @@ class LinearisedRows(NamedTuple):
     basis: Array
     left: Array
     common: Callable[[Array], Array]
+    acts: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +118,17 @@ class ReadingRows:
         spread = left if likelihood.error_gain is None else left @ likelihood.error_gain
         absent = across * ~there[:, None, :] @ basis
 
+        plain = likelihood.data.correlation is None
+
         def covariance(zeta: Array, factor: Array | float = 1.0) -> Array:
-            own, tau = (one[0] for one in likelihood.noise(self.posterior.errors, zeta[None]))
-            stated, added = left * (factor * own)[:, None, :], spread * tau[:, None, :]
-            found = stated @ likelihood.correlation @ np.swapaxes(stated, 1, 2) + added @ np.swapaxes(added, 1, 2)
-            return np.asarray(found + absent)
+            own, tau = likelihood.noise(self.posterior.errors, np.atleast_2d(zeta))
+            own = own * (factor[..., None, :] if isinstance(factor, np.ndarray) else factor)
+            stated = left * own[:, :, None, :]
+            found = (stated if plain else stated @ likelihood.correlation) @ np.swapaxes(stated, -1, -2)
+            if tau.any():
+                added = spread * tau[:, :, None, :]
+                found = found + added @ np.swapaxes(added, -1, -2)
+            return np.asarray((found + absent).reshape(*zeta.shape[:-1], *absent.shape))
 
         terms, data = self.posterior.errors, likelihood.data
         shown = [left @ act for act in terms.list_acts(data, likelihood.error_gain)]
@@ -133,7 +141,7 @@ class ReadingRows:
 
         errors = (across @ error[0][..., None])[..., 0]
         slope = -(across @ by_parameters[0])
-        return LinearisedRows(errors, slope, constant, covariance, basis, left, common)
+        return LinearisedRows(errors, slope, constant, covariance, basis, left, common, tuple(shown))
 
     def evaluate(self, theta: Array, errors: Array, coefficients: Array | None = None) -> Array:
         """Return the log-likelihood of machines (B, D) with errors (B, n), poses eliminated, (B,).

@@ -51,19 +51,22 @@ class Scales:
     pareto_k: float
 
 
-def find_scales_mode(log_density: LogDensity, start: Array) -> Array:
-    """Return where a log-density of n coordinates is largest, from a start (n,)."""
+def find_scales_mode(log_density: LogDensity, start: Array, step: float = SMALL_STEP) -> Array:
+    """Return where a log-density of n coordinates is largest, from a start (n,).
+
+    Its slopes are differences over a step, which should not be so small that they are those of its rounding.
+    """
     from scipy.optimize import minimize  # a tenth of a second to import, for those who search
 
     if not len(start):
         return start
     if not np.isfinite(log_density(start[None])[0]):
         raise NumericalError("scales: no density at the start")
-    steps = np.concatenate([np.zeros((1, len(start))), SMALL_STEP * np.eye(len(start))])
+    steps = np.concatenate([np.zeros((1, len(start))), step * np.eye(len(start))])
 
     def evaluate(zeta: Array) -> tuple[float, Array]:
         value, *ahead = -log_density(zeta + steps)
-        return value, (np.array(ahead) - value) / SMALL_STEP
+        return value, (np.array(ahead) - value) / step
 
     with np.errstate(invalid="ignore"):  # differences of what is nowhere
         found = minimize(evaluate, start, jac=True, method="L-BFGS-B", bounds=[LIMITS] * len(start))

@@ -13,16 +13,15 @@ from bayescal.experiments.shared.function_errors import has_lengths
 from bayescal.experiments.shared.slip_causes import NOISE, SCATTER, TOLERANCE, WIDE
 from bayescal.experiments.shared.slip_rows import (
     VariantReadings,
-    integrate_sizes,
     leave_out_drift,
     leave_out_outliers,
-    profile,
 )
 from bayescal.experiments.shared.slip_search import (
     RIVAL_WITHIN_NAT,
     CauseFit,
     SlipSearch,
 )
+from bayescal.experiments.shared.slip_sizes import integrate_sizes, profile
 from bayescal.experiments.shared.slip_verdict import MIN_CAUSE_GAIN_NAT, STATED, Rival, ScoredCause
 from bayescal.experiments.shared.slips import EITHER, LARGE, MisstatedInput
 from bayescal.experiments.shared.soundness import ChiSquare
@@ -94,7 +93,7 @@ def _find_scatter(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedIn
     drawn = np.array([one in random for one in search.posterior.errors.owners], dtype=bool)
     if not noises or base is None or not drawn.any():
         return None
-    weigh = base.weigher.weigh
+    weigh = base.weigher.weigh_each
     start = np.where(drawn, 0.0, base.zeta)
     loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(drawn, ABSENT, zeta)), start)[0]
     if loss <= SURE_OF_SCATTER:
@@ -119,7 +118,7 @@ def _find_taken_up(search: SlipSearch, weighed: list[ScoredCause]) -> MisstatedI
     mine = np.array([kind[0] for kind in kinds], dtype=bool)
     if not mine.any():  # no error of the model is there that could take up anything
         return None
-    sizes, weigh = errors.natural(base.zeta), base.weigher.weigh
+    sizes, weigh = errors.natural(base.zeta), base.weigher.weigh_each
     first = int(np.where(mine, sizes, 0.0).argmax())
     size = _say_size(search.readings, float(np.linalg.norm(sizes[mine])), *kinds[first])
     loss = base.value - integrate_sizes(lambda zeta: weigh(np.where(mine, ABSENT, zeta)), base.zeta)[0]
@@ -207,9 +206,9 @@ def _measure_misfit(fit: CauseFit) -> ChiSquare:
 
 def _measure_loss(fit: CauseFit, most: Array) -> float:
     """Return by how many nats readings are explained worse by errors of coordinates that are at most so large."""
-    weigh = fit.weigher.weigh
-    found = profile(lambda zeta: weigh(np.minimum(zeta, most)), [np.minimum(fit.zeta, most)], levels=False)
-    return weigh(fit.zeta) - weigh(np.minimum(found, most))
+    weigher = fit.weigher
+    found = profile(lambda zeta: weigher.weigh_each(np.minimum(zeta, most)), [np.minimum(fit.zeta, most)], levels=False)
+    return weigher.weigh(fit.zeta) - weigher.weigh(np.minimum(found, most))
 
 
 def _list_excesses(
@@ -289,7 +288,7 @@ def _measure_at_tool(search: SlipSearch, fit: CauseFit) -> Array | None:
             square = square + variance[0]
         if (columns := term.columns(zeta, data)) is not None:
             square = square + (columns[0] ** 2).sum(axis=-1)
-    y, _, _ = fit.weigher.solve(fit.zeta)
+    y, _ = fit.weigher.solve(fit.zeta)
     theta = readings.posterior.theta(np.append(y, np.zeros_like(fit.zeta))[None])[0]
     with np.errstate(all="ignore"):
         by_pose = model.tool(theta, pose, False)[1] * model.pose_scale

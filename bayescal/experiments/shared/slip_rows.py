@@ -8,35 +8,35 @@ G the slope by the parameters in their tolerances, B (P, K, k) what a cause does
 the data say: the density is maximal over τ, and pays for having been asked at so many. A parameter whose tolerance is f
 times too tight is a column of G once more, τ² = f² - 1. A noise is a factor on C, a row that does not belong is left
 out, and what was read otherwise is another table: all are weighed by the same log-density of the readings.
-
-The errors' sizes ζ are integrated for each cause by itself (Laplace, `integrate_sizes`): errors that a cause explains
-give way to it, and a cause that leaves their sizes open gains the room that data which need them take from their prior.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from itertools import product
+from functools import cached_property
 
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationLikelihood, CalibrationPosterior
 from bayescal.density.calibration.model_error import GPTerm
 from bayescal.density.calibration.poses import search_poses
-from bayescal.density.components import MOST_ROWS, assemble
+from bayescal.density.components import MOST_ROWS, assemble, batches
 from bayescal.density.linear_gaussian import condition, condition_white, whiten
 from bayescal.density.low_rank import gather_columns
 from bayescal.density.pose_kernels import DRIFT
 from bayescal.density.sessions import LinearisedRows, ReadingRows
 from bayescal.errors import BayescalError
-from bayescal.inference.scales import find_scales_mode, measure_volume
+from bayescal.experiments.shared.slip_products import (
+    RowProducts,
+    ScaledErrors,
+    choose_factor,
+    choose_size,
+    scale_columns,
+)
 from bayescal.machines.readings import Channel, ReadingModel
 from bayescal.numerics.geometry import Array
 
-SIZES = np.geomspace(1.0, 1e5, 11)
-"""τ in units of a column's rms of one stated noise."""
 WIDER = (2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 40.0, 100.0)
 """Factors on a tolerance that is too tight."""
 NARROWER = (0.02, 0.04, 0.07, 0.1, 0.14, 0.2, 0.3, 0.5)
@@ -47,8 +47,8 @@ OUTLYING = 10.0
 """Rms of a row in units of the median, beyond which the others are fitted without it."""
 STARTS, SPREAD = 9, 0.6  # poses of the workspace from which others are looked for, in its half widths
 TURN = 2.0 * float(np.pi)
-LEVELS = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # of all coordinates of errors at once
-TURNS = (-2.0, -1.0, 1.0, 2.0), (-1.0, -0.5, 0.5, 1.0)  # steps of single ones, turn by turn
+MOST_KEPT = 8  # products by covariances of single rows
+MOST_HELD = 2**20  # numbers of products that are held together, 8 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +87,24 @@ class LinearisedTable:
     n_spare: np.ndarray  # (Q,): readings more than a pose takes
     pose: Array
     log_volume: float
-    # from ζ (n,) to what errors common to all rows add to their covariance, (Q R, Q R); none where columns are
-    # fewer
-    dense: Callable[[Array], Array] | None = None
+    shared: ScaledErrors | None = None  # errors common to all rows; none where one has no single amplitude
     kept: dict[str, tuple[object, Array]] = field(default_factory=dict)
+    # products by covariances of single rows, and columns
+    sums: dict[tuple[int, bytes], tuple[Array, float, int, Array | None]] = field(default_factory=dict)
+
+    @cached_property
+    def is_dense(self) -> bool:
+        """Whether errors common to all rows are so many that all rows together have a covariance."""
+        n_rows, width = self.errors.size, 0 if self.shared is None else int(self.shared.widths.sum())
+        return n_rows <= MOST_ROWS and width > 0 and width >= n_rows / 2
+
+    @property
+    def at_once(self) -> int:
+        """How many sizes of errors are looked at at once."""
+        if self.shared is None:
+            return 1
+        width = self.slope.shape[-1] + (0 if self.is_dense else int(self.shared.widths.sum()))
+        return max(1, MOST_HELD // (width + 1) ** 2)
 
     @property
     def lost(self) -> np.ndarray:
@@ -106,7 +120,8 @@ class LinearisedTable:
 
             def covariance(zeta: Array, factor: Array | float = 1.0, part: slice = part) -> Array:
                 key = (zeta.tobytes(), np.asarray(factor).tobytes())
-                return self._keep("covariance", key, lambda: self.linear.covariance(zeta, factor))[part]
+                every = self._keep("covariance", key, lambda: self.linear.covariance(zeta, factor))
+                return every[..., part, :, :]
 
             def common(zeta: Array, part: slice = part) -> Array:
                 return self.common(zeta)[part]
@@ -115,6 +130,8 @@ class LinearisedTable:
             errors, slope, constant, basis, left = (array[part] for array in arrays)
             own = LinearisedRows(errors, slope, constant, covariance, basis, left, common)
             each = {name: getattr(self, name)[part] for name in ("slope", "errors", "stands", "n_spare", "pose")}
+            if self.shared is not None:
+                each["shared"] = self.shared.pick(part)
             found.append(LinearisedTable(one.rows, own, log_volume=one.log_volume, **each))
         return found
 
@@ -125,8 +142,9 @@ class LinearisedTable:
         return self.kept[what][1]
 
     def common(self, zeta: Array) -> Array:
-        """Return the columns of errors common to all rows."""
-        return self._keep("common", zeta.tobytes(), lambda: self.linear.common(zeta))
+        """Return the columns of errors common to all rows, (Q, R, N)."""
+        list_columns = self.linear.common if self.shared is None else self.shared.list_columns
+        return self._keep("common", zeta.tobytes(), lambda: list_columns(zeta))
 
     def share(self, other: LinearisedTable, zeta: Array) -> tuple[Array, Array]:
         """Return the fewest columns of errors common to all rows of this and of another table, of both."""
@@ -151,20 +169,79 @@ class LinearisedTable:
         known = self.slope.shape[-1] + common.shape[-1]
         return WhitenedRows(white, constant, known, self.log_volume, *self._count())
 
-    def whiten_together(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> WhitenedRows:
-        """Return the same of all rows together, (1, Q R, m + c + 1), where that costs less."""
+    def multiply(self, zeta: Array, factor: Array | float = 1.0, columns: Array | None = None) -> RowProducts:
+        """Return products of the white rows by B errors ζ (B, n) and factors (B, K) on the stated noise.
+
+        With columns (P, K, c) of all rows. Errors common to all rows are among what is known, or in the covariance.
+        """
         n, r = self.errors.shape
-        if self.dense is None:
-            return self.whiten(zeta, factor, columns)
+        if self.shared is None or (not self.is_dense and self.shared.widths.sum() > n * r):
+            return self._multiply_each(zeta, factor, columns)
         shown = np.zeros((n, r, 0)) if columns is None else self.linear.left @ columns[self.rows]
-        every = np.concatenate([-self.slope, shown, self.errors[..., None]], axis=-1)
-        every = np.where(self.stands[:, None, None], every, 0.0).reshape(n * r, -1)
-        own = np.where(self.stands[:, None, None], self.linear.covariance(zeta, factor), np.eye(r))
-        white, volume = whiten(assemble(own[None], self.dense(zeta)[None], np.ones((1, 1)))[0], every)
-        given = self._penalise(np.where(self.stands, self.linear.constant, 0.0))
-        constant = np.array([given.sum() - volume])
-        size = np.sqrt(np.sum(every[:, :-1] ** 2, axis=0) / max(int(np.count_nonzero(every[:, -1])), 1))
-        return WhitenedRows(white[None], constant, self.slope.shape[-1], self.log_volume, *self._count(), size)
+        acts = () if self.is_dense else self.shared.acts
+        every = np.concatenate([-self.slope, *acts, shown, self.errors[..., None]], axis=-1)
+        every = np.where(self.stands[:, None, None], every, 0.0)
+        if self.is_dense:
+            return self._multiply_together(self.shared, zeta, factor, every)
+        return self._multiply_by_row(self.shared, zeta, factor, every, columns)
+
+    def weigh(self, zeta: Array, factor: Array) -> Array:
+        """Return the log-densities (B,) without any cause; see `multiply`."""
+        parts = [slice(k, k + self.at_once) for k in range(0, len(zeta), self.at_once)]
+        return np.concatenate([self.multiply(zeta[one], factor[one]).weigh() for one in parts])
+
+    def _multiply_each(self, zeta: Array, factor: Array | float, columns: Array | None) -> RowProducts:
+        factors = factor if isinstance(factor, np.ndarray) else [factor] * len(zeta)
+        whites = [self.whiten(*one, columns) for one in zip(zeta, factors, strict=True)]
+        gram, size = np.stack([one.products for one in whites]), np.stack([one.size for one in whites])
+        constant = np.array([one.constant.sum() for one in whites]) + self.log_volume
+        return RowProducts(gram, constant, whites[0].known, size)
+
+    def _multiply_together(self, shared: ScaledErrors, zeta: Array, factor: Array | float, every: Array) -> RowProducts:
+        """Return products of rows (Q, R, m + c + 1) by a covariance of all of them."""
+        n, r, width = every.shape
+        gram, volume, flat = np.empty((len(zeta), width, width)), np.empty(len(zeta)), every.reshape(n * r, width)
+        weights = shared.amplitudes(zeta) ** 2
+        for part in batches(len(zeta), n * r):
+            own = self.spread(zeta[part], factor[part] if isinstance(factor, np.ndarray) else factor)
+            white, volume[part] = whiten(assemble(own, shared.parts, weights[part]), flat)
+            np.matmul(np.swapaxes(white, -1, -2), white, out=gram[part])
+        constant = self._penalise(np.where(self.stands, self.linear.constant, 0.0)).sum() + self.log_volume
+        size = np.sqrt(np.sum(flat[:, :-1] ** 2, axis=0) / max(int(np.count_nonzero(flat[:, -1])), 1))
+        return RowProducts(gram, constant - volume, self.slope.shape[-1], size)
+
+    def _multiply_by_row(
+        self, shared: ScaledErrors, zeta: Array, factor: Array | float, every: Array, columns: Array | None
+    ) -> RowProducts:
+        """Return products of rows (Q, R, m + N + c + 1), columns of errors common to all rows of amplitudes of one.
+
+        Of each covariance of single rows once: it does not depend on these amplitudes.
+        """
+        own = self.spread(zeta, factor)
+        keys = [(id(columns), one.tobytes()) for one in own]
+        new = {key: k for k, key in enumerate(keys) if key not in self.sums}
+        if new:
+            white, volume = whiten(own[list(new.values())], every)
+            for key, rows, half in zip(new, white, volume, strict=True):
+                flat = rows.reshape(-1, rows.shape[-1])
+                constant = self._penalise(np.where(self.stands, self.linear.constant, 0.0) - half).sum()
+                count = max(int(np.count_nonzero(flat[:, -1])), 1)
+                self.sums[key] = flat.T @ flat, float(constant), count, columns
+        grams, constants, counts, _ = zip(*(self.sums[key] for key in keys), strict=True)
+        while len(self.sums) > min(MOST_KEPT, self.at_once):
+            del self.sums[next(iter(self.sums))]
+        scale, m = np.ones((len(zeta), every.shape[-1])), self.slope.shape[-1]
+        amplitudes = shared.size_columns(zeta)
+        known = m + amplitudes.shape[1]
+        scale[:, m:known] = amplitudes
+        gram = np.stack(grams) * scale[:, :, None] * scale[:, None, :]
+        size = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)[:, :-1] / np.array(counts)[:, None])
+        return RowProducts(gram, np.array(constants) + self.log_volume, known, size)
+
+    def spread(self, zeta: Array, factor: Array | float) -> Array:
+        """Return the covariances of single rows, (B, Q, R, R)."""
+        stands = self.stands[:, None, None]
+        return np.where(stands, self.linear.covariance(zeta, factor), np.eye(self.errors.shape[1]))
 
     def _penalise(self, constant: Array) -> Array:
         """Return the rows' constants (Q,), those of lost rows far below what is usual."""
@@ -188,7 +265,6 @@ class WhitenedRows:
     log_volume: float
     n_spare: int  # readings more than poses take
     n_lost: int  # the same of rows that have no pose: they are zero
-    size: Array | None = None  # (m + N + c,): rms of the columns in noise as stated; by default of the white ones
 
     @cached_property
     def total(self) -> Array:
@@ -222,46 +298,35 @@ class WhitenedRows:
         return mean[: self.known], mean[self.known :] * scale, misfit
 
     @cached_property
-    def reduced(self) -> tuple[Array, Array, Array]:
-        """S (n, n) and t (n,) of all columns, those known again among them, and their scale (n,) of one noise's rms.
-
-        What is known is integrated: -2 log-density = const - tᵀ (τ⁻² + S)⁻¹ t + log |1 + τ² S|.
-        """
+    def products(self) -> Array:
+        """Products of all columns and the errors, summed over the rows, (m + N + c + 1, m + N + c + 1)."""
         flat = self.rows.reshape(-1, self.rows.shape[-1])
-        gram = flat.T @ flat
+        return np.asarray(flat.T @ flat)
+
+    @cached_property
+    def size(self) -> Array:
+        """Rms of the white columns, (m + N + c,)."""
+        return np.sqrt(np.diag(self.products)[:-1] / max(int(np.count_nonzero(self.rows[..., -1])), 1))
+
+    @cached_property
+    def _reduced(self) -> tuple[Array, Array]:
+        """S (n, n) and t (n,) of all columns, those known again among them: what is known is integrated."""
+        gram = self.products
         left = condition(np.eye(self.known) + gram[: self.known, : self.known], gram[: self.known], gram).square
-        size = self.size
-        if size is None:
-            size = np.sqrt(np.diag(gram)[:-1] / max(int(np.count_nonzero(flat[:, -1])), 1))
-        return left[:-1, :-1], left[:-1, -1], np.where(size > 0.0, 1.0 / np.maximum(size, 1e-300), 0.0)
+        return left[:-1, :-1], left[:-1, -1]
 
     def gain(self, columns: np.ndarray, most: float = np.inf) -> tuple[float, float]:
         """Return by how much columns raise the log-density, and their τ, at most so large."""
-        scale = self.reduced[2][columns]
-        sizes = SIZES[: max(int(np.count_nonzero(SIZES * scale.max(initial=0.0) <= most)), 1)]
-        gains = self._gain(columns, scale, sizes**2)
-        best = int(np.argmax(gains))
-        return float(gains[best] - np.log(len(sizes))), float(sizes[best])
+        square, side = self._reduced
+        scale = scale_columns(self.size[columns])
+        gain, size = choose_size(square[np.ix_(columns, columns)], side[columns], scale, most)
+        return float(gain), float(size)
 
     def gain_by_factor(self, parameters: np.ndarray, factors: Sequence[float]) -> tuple[float, float]:
-        """Return by how much another factor on the tolerances of parameters raises the log-density, and the best one.
-
-        A tolerance f times as large is its parameter's column once more, of the variance f² - 1, which may be negative.
-        """
-        gains = self._gain(parameters, np.ones(len(parameters)), np.array(factors) ** 2 - 1.0, most=1.0)
-        best = int(np.argmax(gains))
-        return float(gains[best] - np.log(len(factors))), float(factors[best])
-
-    def _gain(self, columns: np.ndarray, scale: Array, variance: Array, most: float = np.inf) -> Array:
-        """Return by how much columns of some scale (k,) and each of some variances (T,) raise the log-density, (T,).
-
-        What rows tell of a column is at most so much: of one that is known already no more than there was to know.
-        """
-        square, side, _ = self.reduced
-        values, axes = np.linalg.eigh(scale[:, None] * square[np.ix_(columns, columns)] * scale)
-        values, along = np.clip(values, 0.0, most), axes.T @ (scale * side[columns])
-        some = variance[:, None]
-        return np.asarray(0.5 * np.sum(some * along**2 / (1.0 + some * values) - np.log1p(some * values), axis=1))
+        """Return by how much the best factor on the tolerances of parameters raises the log-density, and that."""
+        square, side = self._reduced
+        gain, factor = choose_factor(square[np.ix_(parameters, parameters)], side[parameters], factors)
+        return float(gain), float(factor)
 
     def scale_tolerances(self, parameters: np.ndarray, factor: float) -> WhitenedRows:
         """Return the same rows by parameters in tolerances so many times as large."""
@@ -348,8 +413,11 @@ class VariantReadings:
         stands &= np.isfinite(linear.constant)
         n_spare, errors = likelihood.n_spare, linear.errors - slope @ y
         stands &= n_spare > 0
-        dense = _find_dense(posterior, linear.left, stands)
-        return LinearisedTable(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, dense)
+        shared = None
+        if linear.acts or not posterior.errors.has_columns:
+            acts = tuple(np.where(stands[:, None, None], one, 0.0) for one in linear.acts)
+            shared = ScaledErrors(errors.shape, acts, posterior.errors.amplitudes)
+        return LinearisedTable(table.rows, linear, slope, errors, stands, n_spare, pose, table.log_volume, shared)
 
     def measure_rows(self, n_starts: int = 0) -> Array:
         """Return how far rows lie from any machine within the tolerances, in noise and errors as stated, (P,).
@@ -439,63 +507,6 @@ class VariantReadings:
         found, off = search_poses(likelihood, theta, white, starts)
         best = np.where(np.isfinite(off), off, np.inf).argmin(axis=0)
         return np.asarray(found[best, np.arange(len(best))])
-
-
-def _find_dense(posterior: CalibrationPosterior, left: Array, stands: np.ndarray) -> Callable[[Array], Array] | None:
-    """Return what takes ζ (n,) to the covariance that errors common to all rows add; None where columns are fewer."""
-    errors, likelihood, n_rows = posterior.errors, posterior.likelihood, left.shape[0] * left.shape[1]
-    if n_rows > MOST_ROWS or not errors.has_columns:
-        return None
-    acts = errors.list_acts(likelihood.data, likelihood.error_gain)
-    if not acts or sum(one.shape[-1] for one in acts) < n_rows / 2:
-        return None
-
-    @cache
-    def parts() -> Array:
-        shown = [np.where(stands[:, None, None], left @ one, 0.0).reshape(n_rows, -1) for one in acts]
-        return np.stack([one @ one.T for one in shown])
-
-    return lambda zeta: np.tensordot(errors.amplitudes(zeta[None])[0] ** 2, parts(), 1)
-
-
-type Weigh = Callable[[Array], float]
-
-
-def profile(weigh: Weigh, starts: Sequence[Array], levels: bool = True, turns: bool = True) -> Array:
-    """Return the errors' coordinates ζ (n,) with the largest log-density and prior.
-
-    The best of some starts, and of all coordinates at once; from there by turns, one coordinate after the other.
-    """
-    zeta, best = starts[0], -np.inf
-
-    def attempt(one: Array) -> None:
-        nonlocal zeta, best
-        found = weigh(one) - 0.5 * float(one @ one)
-        if found > best:
-            zeta, best = one, found
-
-    n = len(zeta)
-    for start in (*starts, *(np.full(n, size) for size in LEVELS if n and levels)):
-        attempt(start)
-    for steps in TURNS if n and turns else ():
-        for k, step in product(range(n), steps):
-            moved = zeta.copy()
-            moved[k] += step
-            attempt(moved)
-    return zeta
-
-
-def integrate_sizes(weigh: Weigh, start: Array) -> tuple[float, Array]:
-    """Return the log-density with the errors' coordinates ζ (n,) integrated over their prior, and the best ones.
-
-    By Laplace's approximation about the optimum that a search from a start leads to.
-    """
-
-    def log_density(zeta: Array) -> Array:
-        return np.array([weigh(one) for one in zeta]) - 0.5 * np.sum(zeta**2, axis=1)
-
-    mode = find_scales_mode(log_density, start)
-    return float(log_density(mode[None])[0]) + measure_volume(log_density, mode), mode
 
 
 def leave_out_drift(readings: VariantReadings) -> VariantReadings:

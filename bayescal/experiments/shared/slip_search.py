@@ -42,12 +42,11 @@ from bayescal.experiments.shared.slip_rows import (
     LinearisedTable,
     RowReadings,
     VariantReadings,
-    WhitenedRows,
-    integrate_sizes,
     leave_out_drift,
     leave_out_outliers,
-    profile,
 )
+from bayescal.experiments.shared.slip_sizes import integrate_sizes, profile
+from bayescal.experiments.shared.slip_splice import weigh_spliced
 from bayescal.experiments.shared.slip_verdict import (
     BEYOND,
     MIN_CAUSE_GAIN_NAT,
@@ -59,7 +58,7 @@ from bayescal.experiments.shared.slip_verdict import (
     ScoredCause,
     Search,
 )
-from bayescal.experiments.shared.slip_weigher import CauseLikelihood, splice
+from bayescal.experiments.shared.slip_weigher import CauseLikelihood, leave_out, weigh_noises
 from bayescal.experiments.shared.slips import CHANNEL, ROWS, FoundSlip
 from bayescal.numerics.geometry import Array
 from bayescal.report.numbers import join_words
@@ -74,7 +73,6 @@ MOST_ALIKE = 4
 """Causes that are named together: a leg's length, its actuator's zero and heights of its joints do the same."""
 SLOPS = np.array([1.0, 2.5, 10.0, 100.0, 1e3, 1e4])
 """Factors on all noise about the machine as expected, for what the first order leaves."""
-USUAL_FACTOR = 1.5  # sd of the logarithm of a factor on the noise
 FINAL, EACH = 8, 3  # causes that are fitted: of all, and of each kind
 INTEGRATED = 6  # fitted causes, the best ones, whose errors' sizes are integrated
 QUIET = -2.0  # coordinate of a model error's size at which it explains next to nothing
@@ -88,7 +86,6 @@ MOST_ROWS = 10  # of which other tables are tried first
 MOST_FAR = 6  # rows far off of which two may be exchanged
 MISFIT = 1.4
 """Rms of the rows in their noise below which no other table is tried."""
-CANCELLED = 1e-6  # of a sum of squares that is left by a difference, below which the rows are summed
 UNFIT = -1e9  # log-density of readings that no machine has at all
 FEWEST = 3  # causes that are fitted, however long it takes
 PATIENCE = 25.0  # s of CPU time after which no more causes are tried
@@ -194,6 +191,15 @@ class SlipSearch:
         if not (self.posterior.likelihood.n_spare > 0).any():
             return None
         return self.readings.see(self.readings.table, self.readings.begin, None, STARTS)
+
+    @cached_property
+    def _first(self) -> LinearisedTable | None:
+        """The same from these poses on: every cause's first step that leaves the table as it is.
+
+        Other places of the workspace led to none that were better.
+        """
+        assert self.here is not None
+        return self.readings.see(self.readings.table, self.readings.begin, self.here.pose, 1)
 
     @cached_property
     def base(self) -> CauseFit | None:
@@ -393,15 +399,16 @@ class SlipSearch:
         Where the readings fit as they are, about that fit; elsewhere about the machine as expected.
         """
         assert self.here is not None
-        here, states = self.here, [(self.zeta, slop) for slop in SLOPS]
+        here, states, bases = self.here, [(self.zeta, slop) for slop in SLOPS], self._as_expected
         if self.fits and self.base is not None:
             here = self.base.weigher.seen
             states = [(zeta, 1.0) for zeta in (self.base.zeta, self._silence(self.base.zeta))]
+            bases = self._weigh_states(here, np.stack([zeta for zeta, _ in states]), np.ones(len(states)))
+        bases = bases - 0.5 * np.array([float(zeta @ zeta) for zeta, _ in states])
         widths = [0 if one.columns is None else one.columns.shape[-1] for one in causes]
         ends = np.cumsum([0, *widths])
         p, k = self.readings.values.shape
         every = np.concatenate([np.zeros((p, k, 0)), *(one.columns for one in causes if one.columns is not None)], -1)
-        bases = np.array([here.whiten(zeta, slop).weigh() - 0.5 * float(zeta @ zeta) for zeta, slop in states])
         chosen = np.unique([0, max(int(bases.argmax()) - 1, 0), bases.argmax()])
         if here is not self.here:
             chosen = np.arange(len(states))
@@ -417,9 +424,11 @@ class SlipSearch:
                     gain, _ = white.gain_by_factor(np.array(cause.toleranced), cause.factors)
                     values[i, j] = bases[j] + gain
                 elif cause.without:
-                    values[i, j] = self.leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
+                    values[i, j] = leave_out(white, np.array(cause.without)) - 0.5 * float(zeta @ zeta)
                 elif cause.noise and (not j or here is not self.here):
-                    values[i, j] = self.try_noise(here, cause, zeta, FACTORS)[0] - 0.5 * float(zeta @ zeta)
+                    values[i, j] = float(weigh_noises(here, cause, zeta[None], FACTORS)[0][0]) - 0.5 * float(
+                        zeta @ zeta
+                    )
         gains = values.max(axis=1) - bases.max()
         return list(zip(causes, gains.tolist(), strict=True))
 
@@ -428,40 +437,6 @@ class SlipSearch:
         owners = self.posterior.errors.owners
         of_model = np.array([one is not None and one.of_model for one in owners], dtype=bool)
         return np.where(of_model, np.minimum(zeta, QUIET), zeta)
-
-    def leave_out(self, white: WhitenedRows, rows: np.ndarray) -> float:
-        """Return the log-density where some rows may be anything."""
-        kept = np.ones(len(white.rows), dtype=bool)
-        kept[rows] = False
-        n = white.rows.shape[1]
-        size = np.sqrt(np.mean(white.rows[rows, :, -1] ** 2, axis=1))
-        broad = white.constant[rows] - n * (np.log(np.maximum(size, 1.0)) + 0.5)
-        left = white.total - white.gram(rows)
-        if (
-            np.diagonal(left) < CANCELLED * np.diagonal(white.total)
-        ).any():  # nearly all of the sum: no digits are left
-            left = white.gram(kept)
-        return white.weigh(left, float(white.constant[kept].sum() + broad.sum()))
-
-    def try_noise(
-        self, here: LinearisedTable, cause: Cause, zeta: Array, sizes: tuple[float, ...]
-    ) -> tuple[float, float]:
-        """Return the log-density by the best of some factors on some channels' noise, and that.
-
-        The prior of a factor is log-normal.
-        """
-        found = []
-        for size in sizes:
-            more = -0.5 * (np.log(size) / USUAL_FACTOR) ** 2
-            value = here.whiten_together(zeta, self.raise_noise(cause, size)).weigh()
-            found.append((value + float(more - np.log(len(FACTORS))), float(size)))
-        return max(found)
-
-    def raise_noise(self, cause: Cause, size: float) -> Array:
-        """Return factors on the channels' noise, (K,)."""
-        factor = np.ones(len(self.readings.channels))
-        factor[list(cause.noise)] = size
-        return factor
 
     def _weigh_tables(self, here: LinearisedTable) -> list[tuple[Cause, float]]:
         """Return causes that change the table, by some of the rows, and by how much better these are."""
@@ -479,13 +454,13 @@ class SlipSearch:
                 every = None if self.is_late else self.readings.see(table, y, here.pose, 2)
                 if every is not None:
                     seen |= zip(some, every.split([tables[k] for k in some]), strict=True)
-        share, missing_cost = len(self.some) / max(int(self.some.sum()), 1), self._row_cost(here)
+        share, missing_cost = len(self.some) / max(int(self.some.sum()), 1), self._row_cost
         values = np.full(len(causes), -np.inf)
-        for slop in SLOPS[:2] if self.fits else SLOPS:
-            for k, sight in seen.items():
-                if sight.stands.any():
-                    missing = int(self.some.sum()) - len(sight.rows)
-                    values[k] = max(values[k], sight.whiten(self.zeta, slop).weigh() - missing * missing_cost)
+        slops = SLOPS[:2] if self.fits else SLOPS
+        for k, sight in seen.items():
+            if sight.stands.any():
+                missing = int(self.some.sum()) - len(sight.rows)
+                values[k] = self._weigh_slops(sight, slops).max() - missing * missing_cost
         usual = values[0] if np.isfinite(values[0]) else UNFIT
         rough = [(one, share * float(value - usual)) for one, value in zip(causes, values, strict=True)]
         return [*rough[1:], *self._weigh_shifts(here), *self._weigh_exchanges(here)]
@@ -496,7 +471,7 @@ class SlipSearch:
         n = len(values)
         if n < 4 or not len(own):
             return found
-        usual, row_cost = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS), self._row_cost(here)
+        usual, row_cost = float(self._as_expected.max()), self._row_cost
         for step in (1, -1):  # rows hold what belongs to the one before them, or after them
             chosen = np.arange(n - 1) if step > 0 else np.arange(1, n)
             moved = values.copy()
@@ -504,12 +479,7 @@ class SlipSearch:
             seen = self.readings.see(RowReadings(moved[chosen], chosen), self.readings.begin, here.pose, 3)
             if seen is None:
                 continue
-            mine, common = here.share(seen, self.zeta)
-            weighed = np.full(n, -np.inf)
-            for slop in SLOPS:
-                base = here.whiten(self.zeta, slop, common=mine)
-                white = seen.whiten(self.zeta, slop, common=common)
-                weighed = np.maximum(weighed, splice(base, white, chosen, step))
+            weighed = weigh_spliced(here, seen, self.zeta, SLOPS, chosen, step)
             best = set(1 + np.argsort(-weighed[1 : n - 1])[:FINAL])
             for k in range(1, n - 1):
                 if k not in best:  # counted, but never fitted
@@ -532,7 +502,7 @@ class SlipSearch:
         far = np.flatnonzero(off > OUTLYING * np.median(off))
         if not 2 <= len(far) <= MOST_FAR or not len(own):
             return found
-        usual = max(here.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+        usual = float(self._as_expected.max())
         for pair in combinations(far.tolist(), 2):
             moved = values.copy()
             moved[np.ix_(pair, own)] = values[np.ix_(pair[::-1], own)]
@@ -541,7 +511,7 @@ class SlipSearch:
             if seen is None or not seen.stands.any():
                 continue
             text = f"rows {' and '.join(map(self.name_row, pair))} seem to have each other's {kinds}"
-            value = max(seen.whiten(self.zeta, slop).weigh() for slop in SLOPS)
+            value = self._weigh_slops(seen, SLOPS).max()
             found.append((Cause(ROWS, text, table), float(value - usual)))
         return found
 
@@ -565,10 +535,29 @@ class SlipSearch:
             best.setdefault(cause.text, (cause, gain - float(np.log(cause.among))))
         return list(best.values())
 
-    def _row_cost(self, here: LinearisedTable) -> float:
-        """Return what a row of a table counts that is not there, like one that may be anything, negative."""
-        white = here.whiten(self.zeta)
+    @cached_property
+    def _row_cost(self) -> float:
+        """What a row of a table counts that is not there, like one that may be anything, negative."""
+        assert self.here is not None
+        white = self.here.whiten(self.zeta)
         return white.rows.shape[1] * ROW_PENALTY_NAT - float(np.median(white.constant))
+
+    @cached_property
+    def _as_expected(self) -> Array:
+        """Log-densities of the readings about the machine as expected, by each of `SLOPS`."""
+        assert self.here is not None
+        return self._weigh_slops(self.here, SLOPS)
+
+    def _weigh_slops(self, seen: LinearisedTable, slops: Array) -> Array:
+        """Return log-densities of a table by factors (S,) on all noise, (S,)."""
+        return self._weigh_states(seen, np.tile(self.zeta, (len(slops), 1)), slops)
+
+    def _weigh_states(self, seen: LinearisedTable, zeta: Array, slops: Array) -> Array:
+        """Return log-densities of a table by errors ζ (S, n) and factors (S,) on all noise, (S,)."""
+        if seen.lost.any():  # they cost as much as others of the same noise
+            return np.array([seen.whiten(*one).weigh() for one in zip(zeta, slops.tolist(), strict=True)])
+        factors = np.repeat(slops[:, None], len(self.readings.channels), axis=1)
+        return seen.weigh(zeta, factors)
 
     # --- second round ------------------------------------------------------------------------------------------------
 
@@ -580,37 +569,47 @@ class SlipSearch:
         unknown = np.zeros(0 if columns is None else columns.shape[-1])
         weigher, last = None, -np.inf
         for step in range(MOST_FITS):
-            values = table.values
-            if columns is not None:
-                values = self.posterior.likelihood.comparison.add(values, -(columns @ unknown)[table.rows])
-            seen = self.readings.see(replace(table, values=values), y, start, 0 if step else 3)
+            if step or cause.table is not None or here is not self.here:
+                seen = self._see(table, columns, unknown, y, start, 0 if step else 3)
+            else:
+                seen = self._first
             if seen is None or not seen.stands.any():
                 break  # steps that lead away: as good as the last one
-            if columns is not None:
-                moved = seen.linear.left @ (columns @ unknown)[table.rows][..., None]
-                seen = replace(seen, errors=seen.errors + moved[..., 0])
             start = here.pose.copy()
             start[table.rows] = np.where(np.isfinite(seen.pose), seen.pose, start[table.rows])
             weigher = CauseLikelihood(self, cause, seen)
             if step == 0:
-                zeta = profile(weigher.weigh, starts, turns=not cause.fault)
+                zeta = profile(weigher.weigh_each, starts, turns=not cause.fault)
             elif step == FITS - 1:
-                zeta = profile(weigher.weigh, (zeta, self._silence(zeta)), levels=not cause.fault, turns=False)
+                zeta = profile(weigher.weigh_each, (zeta, self._silence(zeta)), levels=not cause.fault, turns=False)
                 weigher.weigh(zeta)
                 with weigher.held():
-                    zeta = profile(weigher.weigh, (zeta,), levels=False)
+                    zeta = profile(weigher.weigh_each, (zeta,), levels=False)
             before, last = last, weigher.weigh(zeta)
-            y, unknown, _ = weigher.solve(zeta)
+            y, unknown = weigher.solve(zeta)
             if step >= FITS - 1 and last < before + SETTLED:
                 break
         if weigher is None or not np.isfinite(last):
             return None
-        beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost(here)
+        beside = -(len(self.readings.values) - len(table.rows)) * self._row_cost
         return self._describe(weigher, zeta, last - 0.5 * float(zeta @ zeta), beside)
+
+    def _see(
+        self, table: RowReadings, columns: Array | None, unknown: Array, y: Array, start: Array, n_starts: int
+    ) -> LinearisedTable | None:
+        """Return a table's rows about a machine (m,) and unknowns (k,) of columns, as errors without these."""
+        if columns is None:
+            return self.readings.see(table, y, start, n_starts)
+        effect = (columns @ unknown)[table.rows]
+        values = self.posterior.likelihood.comparison.add(table.values, -effect)
+        seen = self.readings.see(replace(table, values=values), y, start, n_starts)
+        if seen is None:
+            return None
+        return replace(seen, errors=seen.errors + (seen.linear.left @ effect[..., None])[..., 0], sums={})
 
     def _describe(self, weigher: CauseLikelihood, zeta: Array, value: float, beside: float) -> CauseFit:
         """Return a cause's fit at the errors ζ for which it was weighed last, of that log-density of its rows."""
-        cause, (y, unknown, misfit) = weigher.cause, weigher.solve(zeta)
+        cause, (y, unknown) = weigher.cause, weigher.solve(zeta)
         more = beside
         if cause.scaled is not None:
             n_read = np.count_nonzero(np.isfinite(self.readings.values[:, cause.scaled]))
@@ -621,6 +620,7 @@ class SlipSearch:
             given = self.posterior.likelihood.data.given
             sizes = self.readings.model.read(theta, weigher.seen.pose, given)[:, cause.blind]
         text = cause.text if cause.say is None else cause.say(sizes)
+        misfit = weigher.measure_misfit(np.zeros_like(zeta))
         return CauseFit(value + more, misfit, text, zeta, weigher, beside)
 
     def integrate(self, found: CauseFit) -> CauseFit:
@@ -631,7 +631,7 @@ class SlipSearch:
             size = weigher.size
             try:
                 with weigher.held():
-                    value, zeta = integrate_sizes(weigher.weigh, zeta)
+                    value, zeta = integrate_sizes(weigher.weigh_each, zeta)
             except (NumericalError, np.linalg.LinAlgError):
                 return found
             weigher.weigh(zeta)
