@@ -15,6 +15,7 @@ from bayescal.density.posterior import Posterior
 from bayescal.density.priors import NormalPrior
 from bayescal.experiments.audit.design import load_audit, read_plans
 from bayescal.experiments.audit.planned import DesignVariant, PlannedPoses
+from bayescal.experiments.audit.schema import AuditSweepConfig
 from bayescal.experiments.shared import design
 from bayescal.experiments.shared.schema import ModelConfig
 from bayescal.identifiability.requirements import WorkspaceErrorModel
@@ -35,6 +36,8 @@ SD = {"u_x": 0.05, "u_y": 0.05, "kappa": 0.01, "beta": 0.1, "rho0": 0.5}
 LENGTH_SD = 2.0
 STIFFNESS_SHARE = 0.3
 FRAME_SD = {"mm": 2.0, "rad": 2e-3}
+SHORT_SWEEP = AuditSweepConfig(noise=[0.5, 2.0], poses=[10, 60], workspace=[0.5, 2.0])
+"""Below and above what is planned; every point is a plan of its own, which takes time."""
 TRACKER = PoseSensor(0.01, np.radians(2.0 / 3600.0))
 
 

@@ -25,6 +25,10 @@ def write_delta(folder: Path) -> Path:
     return path
 
 
+SHORT_SWEEP = "\n[sweep]\nnoise = [0.5, 2.0]\nposes = [10, 60]\nworkspace = [0.5, 2.0]\n"
+"""Of an audit: below and above what is planned; every point is a plan of its own, which takes time."""
+
+
 def write_simulation(folder: Path) -> Path:
     """Write a small simulation of the linear delta; return its config."""
     path = copy_delta(folder) / "simulate.toml"

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from tiny_experiments import SHIPPED, SMALL, key_line, read_kind
 
 ROOT = Path(__file__).parents[1]
 TINY = {
@@ -80,6 +81,17 @@ def test_a_benchmark_runs_tiny(command, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr[-1000:]
+
+
+def test_what_makes_experiments_tiny_is_in_shipped_ones():
+    """A key that was renamed would leave experiments as large as they are shipped."""
+    texts = dict.fromkeys(SMALL, "")
+    for path in SHIPPED.glob("*/*.toml"):
+        kind = read_kind(path)
+        if kind in SMALL:
+            texts[kind] += path.read_text(encoding="utf-8")
+    missing = {kind: [key for key in SMALL[kind] if not key_line(key).search(text)] for kind, text in texts.items()}
+    assert not any(missing.values()), missing
 
 
 def test_every_benchmark_is_run():

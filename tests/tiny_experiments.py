@@ -9,32 +9,26 @@ from pathlib import Path
 
 SHIPPED = Path(__file__).parents[1] / "experiments"
 
-FEW_SETS = {
-    **{"repeats": "1", "iterations": "2", "n_sets": "10", "max_iterations": "3", "list_length": "5", "count": "60"},
-}
 SMALL = {
     "study": {"walkers": "8", "burn_in": "5", "steps": "10", "draws": "1000", "max_draws": "1000"}
     | {"prior_width_factors": "[1.0]"},
     "pose_methods.py:PoseMethods": {"repeats": "2", "n_targets": "[6, 8]"},
     "kind.py:HexapodCalibrations": {
-        **{"candidates": "150", "list_length": "5", "iterations": "3", "n_verification_poses": "7", "repeats": "4"},
+        **{"candidates": "150", "list_length": "5", "iterations": "3", "verification_poses": "7", "repeats": "4"},
         **{"selections": "2", "parameter_sets": "3", "noise_draws": "4"},
     },
-    "selection": {
-        **{"repeats": "2", "iterations": "5", "n_sets": "20", "max_iterations": "5", "list_length": "10"},
-        **{"count": "150", "poses": "14", "machines": "4"},
+    "selection": {"repeats": "2", "count": "150", "poses": "14", "machines": "4"},
+    "published_poses.py:PublishedPoses": {
+        **{"repeats": "1", "iterations": "2", "n_sets": "10", "list_length": "5", "count": "60"},
     },
-    "published_poses.py:PublishedPoses": FEW_SETS,
-    "boundary_poses.py:BoundaryPoses": FEW_SETS,
+    "boundary_poses.py:BoundaryPoses": {"repeats": "1", "max_iterations": "3", "count": "60"},
     "self_calibrations.py:SelfCalibrations": {
-        **{"calibrations": "6", "n_verification_poses": "5", "n_poses": "20", "count": "3"},
+        **{"calibrations": "6", "verification_poses": "5", "n_poses": "20", "count": "3"},
         "angle_noise_arcsec": "[0.5, 2.0]",
     },
-    "study of tables": {"walkers": "24", "burn_in": "3", "steps": "6", "max_draws": "2000", "folds": "2"}
-    | {"draws": "1000"},
     "sessions": {"draws": "500", "separate_by_leg": "false"},
     "audit": {"n_simulated_calibrations": "4", "n_prior_draws": "3", "draws": "2000"}
-    | {"count": "12", "exhaustive": "0"},
+    | {"count": "12", "max_exhaustive_sets": "0"},
 }
 """By kind of experiment, what stands after the names of its keys instead of what is shipped."""
 
@@ -60,7 +54,7 @@ def copy_tiny(folder: Path, *names: str) -> Path:
         text = path.read_text(encoding="utf-8")
         kind = read_kind(path)
         for key, value in SMALL.get(kind, {}).items():
-            text = re.sub(rf"^{key} = (?!{{).*$", f"{key} = {value}", text, flags=re.MULTILINE)
+            text = key_line(key).sub(f"{key} = {value}", text)
         for old, new in REPLACED.get(kind, ()):
             text = re.sub(old, new, text)
         section, lines = ADDED.get(kind, ("", ""))
@@ -68,6 +62,11 @@ def copy_tiny(folder: Path, *names: str) -> Path:
             text += f"\n[{section}]\n{lines}\n"
         path.write_text(text, encoding="utf-8")
     return target
+
+
+def key_line(key: str) -> re.Pattern[str]:
+    """Return what matches lines of a config that give a key a value, no table."""
+    return re.compile(rf"^{key} = (?!{{).*$", flags=re.MULTILINE)
 
 
 def read_kind(path: Path) -> str:

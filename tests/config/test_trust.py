@@ -193,6 +193,8 @@ def test_nothing_of_the_current_folder_is_imported(tmp_path):
 @pytest.mark.runs
 def test_worker_processes_import_nothing_of_the_current_folder(tmp_path, mark):
     here = Path(start_project(tmp_path / "here", "own", None)[0]).parent
+    audit = here / "audit.toml"
+    audit.write_text(audit.read_text() + calibrations.SHORT_SWEEP)
     for name in ("joblib.py", "numexpr.py", "csv.py"):
         (here / name).write_text(TRAP.format(str(mark)))
     environment = {**os.environ, "PYTHONPATH": str(Path(bc.__file__).parents[1])}

@@ -72,6 +72,7 @@ def test_whole_tables_are_taken(use, ground, tmp_path):
 
 
 @pytest.mark.runs
+@pytest.mark.usefixtures("search_little")
 @pytest.mark.parametrize("number", DRAWN)
 def test_nothing_of_a_drawn_machine_is_lost(number, ground):
     assert SORTS["drawn"].attempt(ground, number).faults == ""

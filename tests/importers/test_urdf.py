@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 
+import calibrations
 import numpy as np
 import pandas as pd
 import pytest
@@ -101,7 +102,9 @@ def test_a_file_is_audited_as_it_is(tmp_path, call):
     assert code == 0
     assert "7 joints from base to tip: panda_joint1, panda_joint2" in said
     assert "no readings in such a file: audit.toml says what they would determine" in said
-    code, said, _ = call("audit", tmp_path / "arm" / "audit.toml", "--out", tmp_path / "out", "--workers", 1)
+    design = tmp_path / "arm" / "audit.toml"
+    design.write_text(design.read_text() + calibrations.SHORT_SWEEP)
+    code, said, _ = call("audit", design, "--out", tmp_path / "out", "--workers", 1)
     assert code == 0
     assert "determine 21 of 35 parameters; combinations: 8 structurally unidentifiable" in " ".join(said.split())
 

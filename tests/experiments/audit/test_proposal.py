@@ -22,7 +22,7 @@ DELTA = tiny_experiments.SHIPPED.parent / "examples" / "own_machine" / "audit.to
 
 @pytest.fixture(scope="module")
 def camera():
-    return problems.read_shipped("camera_hexapod").without_systematic_errors()
+    return problems.read_shipped("camera_hexapod", sweep=problems.SHORT_SWEEP).without_systematic_errors()
 
 
 def judge(plan):

@@ -23,7 +23,9 @@ POSES = 'file = "poses.csv"'
 @pytest.fixture
 def folder(tmp_path):
     path = calibrations.write_audit(tmp_path)  # of errors at the tool as they are, which no best fit takes away
-    return calibrations.change(path, "seed = 4\n", 'seed = 4\naccuracy_frame = "base"\n').parent
+    calibrations.change(path, "seed = 4\n", 'seed = 4\naccuracy_frame = "base"\n')
+    path.write_text(path.read_text() + calibrations.SHORT_SWEEP)
+    return path.parent
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,7 @@ pytestmark = pytest.mark.runs
 UNIFORM = 'kappa = { prior = "uniform", half_width = 0.01 }'
 NORMAL = 'kappa = { prior = "normal", sd = 0.01 }'
 EFFORT = ("draws = 1000\nmax_draws = 1000", "draws = 4000\nmax_draws = 4000")
+FACTORS = [0.5, 3.0]
 PER_LEG = "sd = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]"
 
 
@@ -60,17 +61,30 @@ def test_a_factor_multiplies_the_width_of_every_prior_whatever_its_unit(tmp_path
     assert [own[f"l[{leg}]"].sd for leg in range(1, 7)] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 
 
-@pytest.mark.parametrize("factor", [0.5, 3.0])
-def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(tmp_path, factor):
-    inputs = load(tmp_path / "own", ("prior_width_factors = [1.0]", f"prior_width_factors = [1.0, {factor}]"), EFFORT)
-    scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
-    other = load(tmp_path / "other", *scaled, EFFORT)
-    free, factors = (
-        {name: fit_variant(inputs, name) for name in inputs.variants},
-        inputs.config.sensitivity.prior_width_factors,
+@pytest.fixture(scope="module")
+def refit_nothing():
+    """Leave no pose out by another run: evidences do not rest on that."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bayescal.inference.leave_one_out.MAX_REFITS", 0)
+        yield
+
+
+@pytest.fixture(scope="module")
+def weighed(refit_nothing, tmp_path_factory):
+    """Return the evidences of a tiny study with priors as they are, narrower and wider, by factor and variant."""
+    factors = [1.0, *FACTORS]
+    inputs = load(
+        tmp_path_factory.mktemp("own"), ("prior_width_factors = [1.0]", f"prior_width_factors = {factors}"), EFFORT
     )
-    widths = begin_widths(inputs, free, Run())()
-    table = tabulate_widths(free, widths, factors).set_index(["factor", "variant"])
+    free = {name: fit_variant(inputs, name) for name in inputs.variants}
+    return tabulate_widths(free, begin_widths(inputs, free, Run())(), factors).set_index(["factor", "variant"])
+
+
+@pytest.mark.usefixtures("refit_nothing")
+@pytest.mark.parametrize("factor", FACTORS)
+def test_the_evidence_of_a_factor_is_that_of_a_study_with_such_priors(weighed, tmp_path, factor):
+    scaled = (("sd = 2.0", f"sd = {2.0 * factor}"), ("sd = 0.01", f"sd = {0.01 * factor}"))
+    other, table = load(tmp_path, *scaled, EFFORT), weighed
     for name in other.variants:
         importance = fit_variant(other, name).importance
         expected = (importance.log_evidence, importance.standard_error)
