@@ -293,6 +293,11 @@ class ReadingMachine(ABC):
         """Raise InputError for data that cannot be; see `ReadingModel.check_given`. By default nothing is checked."""
         del poses, given, free
 
+    @property
+    def at_one_place(self) -> ReadingMachine:
+        """The machine at one place of a row: itself, but for one that a row of the data has at two places."""
+        return self
+
     def complete(self, values: Array) -> Array:
         """Return readings (P, K), NaN where nothing was read, with those that anyone may state; by default none."""
         return values
@@ -436,6 +441,7 @@ class FunctionModel(ReadingModel):
         """What has to be known of each row of the data."""
         return tuple(self.machine.given)
 
+    of_function = hand_on("machine")
     actuated = hand_on("machine.commanded")
     member = hand_on("machine.member")
     check_given = hand_on("machine.check_given")
@@ -586,7 +592,7 @@ class FunctionModel(ReadingModel):
             by_parameters[..., places] = slopes.reshape(*slopes.shape[: values.ndim], len(places))
         return values, by_pose, by_parameters
 
-    def place_tool(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
+    def tool_frame(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
         """Return position and axes of the tool where the machine has them; see `ReadingMachine.place_tool`."""
         return self.machine.place_tool(Parameters(self.layout, theta), pose)
 

@@ -75,8 +75,8 @@ def build_terms(
             with name_failures(choice.found, f"error_terms.{name}"):
                 term = choice.found.build(choice.options, rows)
             check_term(term, data)
-            if isinstance(term, FunctionErrors):
-                check_functions(term, *data.sd.shape)
+            for functions in ErrorModel((term,)).terms_of(FunctionErrors):
+                check_functions(functions, *data.sd.shape)
         found.append(term)
     return tuple(found)
 

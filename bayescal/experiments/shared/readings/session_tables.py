@@ -34,7 +34,6 @@ from bayescal.experiments.shared.readings.measurement import InstrumentReader, I
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.files.atomic import read_json
 from bayescal.files.csv_tables import read_table
-from bayescal.machines.readings import InstrumentedMachine
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.numbers import join_words
@@ -169,7 +168,7 @@ class SessionTables:
     def _places(self) -> np.ndarray:
         """Where channels of what sees the tool stand among all."""
         model = self.calibrated.model
-        if isinstance(model, InstrumentedMachine) and self.instrument is not None:
+        if self.instrument is not None:
             return np.asarray(model.instrument_places[self.instrument])
         return np.flatnonzero(~np.isin(model.names, model.commanded))
 
