@@ -124,7 +124,7 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     return texts | dict(calibrated.files)
 
 
-def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]) -> dict[str, str]:
+def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, object]) -> dict[str, str]:
     """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
     beside = {"covariance": COVARIANCE, "draws": DRAWS, "functions": FUNCTIONS, "measured": MEASURED}
@@ -459,7 +459,7 @@ def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
     """Return the text of a mechanism's file that `bayescal.machines.read` takes, comment lines above."""
     flexures, load = mechanism.flexures, mechanism.load
     side = "below" if mechanism.platform_below else "above"
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "name": mechanism.name,
         "base": {"points_mm": mechanism.base_points},
         "platform": {"points_mm": mechanism.platform_points},

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayescal.errors import InputError
 from bayescal.files.atomic import read_text
@@ -279,7 +279,7 @@ def cells_from_frame(table: pd.DataFrame, path: Path) -> TableCells:
     return TableCells(path, tuple(map(str, table.columns)), rows, tuple(range(2, len(rows) + 2)))
 
 
-def _write_value(value: Any) -> str:
+def _write_value(value: object) -> str:
     import pandas as pd
 
     return "" if value is None or value is pd.NA or value is pd.NaT or value != value else str(value)

@@ -53,6 +53,8 @@ def _tag_sensor(section: object) -> str:
     return kind if kind in ("pose", "targets") else OWN
 
 
+type ToolSensorConfig = PoseSensorConfig | TargetSensorConfig | OwnSensorConfig
+
 type SensorConfig = Annotated[
     Annotated[PoseSensorConfig, Tag("pose")]
     | Annotated[TargetSensorConfig, Tag("targets")]
@@ -332,6 +334,16 @@ class AuditConfig(ExperimentConfig):
     """Poses to choose."""
     sensor_selection: SensorChoiceConfig | None = None
     """Sensors to choose."""
+
+    def split_sensors(self) -> tuple[dict[str, ChannelConfig], dict[str, ToolSensorConfig]]:
+        """Return the noise of channels, and the sensors that see poses, by name."""
+        channels, others = dict[str, ChannelConfig](), dict[str, ToolSensorConfig]()
+        for name, one in self.sensors.items():
+            if isinstance(one, ChannelConfig):
+                channels[name] = one
+            else:
+                others[name] = one
+        return channels, others
 
     @model_validator(mode="before")
     @classmethod

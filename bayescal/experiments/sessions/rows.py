@@ -63,6 +63,11 @@ class LegMotionRow(TableRow, table="legs"):
     p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
     interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
 
+    @property
+    def moved(self) -> str:
+        """Number of the leg."""
+        return str(self.leg)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelMotionRow(TableRow, table="channels"):
@@ -78,6 +83,11 @@ class ChannelMotionRow(TableRow, table="channels"):
     q95: float = column("95 % quantile")
     p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
     interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+
+    @property
+    def moved(self) -> str:
+        """Name of the channel."""
+        return self.channel
 
 
 @dataclass(frozen=True, kw_only=True)

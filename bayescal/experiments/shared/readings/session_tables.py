@@ -223,13 +223,13 @@ def find_session_tables(
         if (kind := content.get("kind", READINGS)) in TABLES and content.get("name", "") == (instrument or ""):
             section = TABLES[kind].model_validate(content)
             # without a tracker poses are in the base frame: a study that looked for the frames measured others
-            if instrument is not None or isinstance(section, TargetDataConfig) or not section.frames.is_free:
+            if instrument is not None or section.kind == "targets" or not section.frames.is_free:
                 sections.setdefault(kind, section)
     folder = None if experiment is None else experiment.absolute().parent
     if folder is None:
         with suppress(InputError):
             folder = find_config(results, provenance).parent
     poses = sections.get("poses")
-    if noise is None and isinstance(poses, PoseDataConfig) and poses.position_um is not None:
+    if noise is None and poses is not None and poses.kind == "poses" and poses.position_um is not None:
         noise = (poses.position_um, poses.arcseconds)
     return SessionTables(calibrated, instrument, sections, folder, noise)
