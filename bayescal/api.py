@@ -11,7 +11,7 @@ from contextlib import suppress
 from functools import cached_property
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import ValidationError
@@ -118,12 +118,12 @@ class Data:
         return f"data: {len(self.table)} rows of {', '.join(self.noise)}; {self.provenance['text']}"
 
 
-def describe_noise(noise: Noise, channels: Sequence[Channel], columns: Sequence[str]) -> dict[str, dict[str, Any]]:
+def describe_noise(noise: Noise, channels: Sequence[Channel], columns: Sequence[str]) -> dict[str, dict[str, object]]:
     """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any.
 
     What is wrong with names, columns and numbers says who reads the config.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, object]] = {}
     for name, value in noise.items():
         channel = next((one for one in channels if name in (one.name, one.kind)), None)
         if isinstance(value, Mapping) or channel is None:
@@ -156,7 +156,7 @@ def _list_channels(machine: MachineFiles, instruments: object) -> list[Channel]:
     return channels
 
 
-def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
+def _describe_widths(tolerances: Widths) -> dict[str, dict[str, object]]:
     return {
         name: dict(value) if isinstance(value, Mapping) else {"prior": "normal", "sd": value}
         for name, value in tolerances.items()

@@ -48,6 +48,11 @@ class InputError(BayescalError):
         return (str(self), *self.others)
 
 
+def say_unknown(where: str, found: object, known: Iterable[str]) -> str:
+    """Return that a name which was found somewhere is none of those known there."""
+    return f"{where}: found {found!r}, expected one of {', '.join(known) or 'none'}"
+
+
 class SeveralFaultsError(InputError):
     """All faults that were looked for together; its message has a line for each."""
 

@@ -169,9 +169,7 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
     except (OSError, TypeError):
         path = Path()
     if not path.is_file():
-        raise InputError(
-            f"class {found.__name__}: found no file, expected one: import it from a file beside the notebook"
-        )
+        raise InputError(f"class {found.__name__}: found no file, expected a class imported from one")
     name, content = path.name, path.read_bytes()
     if found.__module__ == "__main__":  # a script is not run again for the sake of a class
         name, content = f"{path.stem}.py", _extract(content.decode(), found.__name__).encode()

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -121,7 +120,7 @@ def list_dh_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
             said.append(
                 f"Axes of {one.name} and {other.name} are parallel to {angle:.2g} deg: their d belong together."
             )
-    machine: dict[str, Any] = {"convention": "modified" if modified else "classical"}
+    machine: dict[str, object] = {"convention": "modified" if modified else "classical"}
     machine |= config.model_dump(exclude_defaults=True, include={"down", "workspace_deg"})
     for name, place in (("base", base.then(more)), ("tip", tip)):
         machine[f"{name}_mm"] = _round(place.position)

@@ -63,7 +63,7 @@ class BareMachine[M: ReadingMachine]:
 def describe_share(whole: float, left: float, file: str = "The file", unit: str = "mm") -> str:
     """Return in words how much of what the tool is off nominal a file carries, both rms over the workspace."""
     carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} {unit}"
-    said = f"{carried} by which the tool is off nominal, rms over the workspace"
+    said = f"{carried} of the tool's deviation, rms over the workspace"
     return said if left < NOTHING_MM else f"{said}; {left:.2g} {unit} are left"
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -116,7 +116,7 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     if not calibrated.machine_file:
         raise InputError(f"machine {calibrated.name!r}: found no machine file, expected one")
     hashes = [hash_file(content) for content in calibrated.files.values()]
-    own: dict[str, Any] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
+    own: dict[str, object] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
     if calibrated.workspace is not None:
         names = [one.name for one in calibrated.model.coordinates]
         own["workspace"] = dict(zip(names, calibrated.workspace.T, strict=True))

@@ -32,7 +32,7 @@ HELP = (
 GAINED = "With gains: joint N = length N + gain N * (actuator position - initial position)."
 TOWERS_HELP = (
     "LinuxCNC lineardeltakins, mm. Load after `loadrt lineardeltakins`.",
-    "A joint is the height of its carriage; HOME_OFFSET, at its endstop, goes into the ini file.",
+    "Joint: carriage height; HOME_OFFSET, at the endstop, for the ini file.",
 )
 TOWERS_DEG = np.array([90.0, 210.0, 330.0])
 ASIDE_DEG = 20.0

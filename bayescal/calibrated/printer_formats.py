@@ -174,7 +174,7 @@ def _list_hangprinter(machine: LineMachine, printer: Printer) -> tuple[Array, li
     parallel = ":".join(f"{int(one)}" for one in machine.parallel)
     radii = ":".join(write_numbers(printer.take("R")))
     return printer.change(c=0.0), [
-        f"; Gear {machine.gear!r}: L and H of M666, teeth of motor and spool, stay as they are.",
+        f"; Gear {machine.gear!r}: L and H of M666 stay.",
         f"M669 K6 {places}",
         f"M666 Q{write_numbers(printer.take('Q'))[0]} R{radii} U{parallel} O1:1:1:1",
     ]
@@ -195,7 +195,7 @@ def _list_rotary(machine: RotaryDelta, printer: Printer) -> tuple[Array, list[st
     height = ":".join(write_numbers(np.repeat(printer.take("h"), TOWERS)))
     turns = _list_turns(np.degrees(printer.take("angle")))
     return printer.theta, [
-        "; M666 of arms whose endstops, with M666 of zero, were homed to the larger angle of A in the readings.",
+        "; M666 for arms homed, with M666 of zero, to the larger angle of A.",
         f"M669 K10 {_list_arms(printer, {'R': 'r', 'U': 'L', 'L': 'l'})} H{height} {turns}",
         f"M666 {_list_words('XYZ', np.degrees(printer.take('o')))}",
     ]

@@ -64,7 +64,7 @@ class ClassMark:
             self._read, serialization=core_schema.plain_serializer_function_ser_schema(_write)
         )
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: object) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: object) -> dict[str, object]:
         """Return what an editor is told: the known names, or any reference, or a table with a class's options."""
         del schema, handler
         known = {"enum": list_names(self.registry)}
@@ -88,7 +88,7 @@ class ClassMark:
         return ClassName(name, self.registry, options, found)
 
 
-def _split(value: object) -> tuple[str, Mapping[str, Any]]:
+def _split(value: object) -> tuple[str, Mapping[str, object]]:
     """Return name and options of what stands in a config."""
     if isinstance(value, ClassName):
         return str(value), value.options
@@ -100,7 +100,7 @@ def _split(value: object) -> tuple[str, Mapping[str, Any]]:
     return name, {key: one for key, one in value.items() if key != CLASS}
 
 
-def _write(value: str) -> str | dict[str, Any]:
+def _write(value: str) -> str | dict[str, object]:
     name, options = _split(value)
     return {CLASS: name, **options} if options else name
 
@@ -160,7 +160,7 @@ class ClassReference[T]:
     """A class that a config names, with its checked options."""
 
     found: type[T]
-    options: Any
+    options: object
 
     def make(self, *context: object) -> T:
         """Return one of the class: by `__init__(config, ...)` where it has one of its own.

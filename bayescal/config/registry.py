@@ -88,7 +88,7 @@ def list_names(what: str) -> list[str]:
 
 def _list_built_in(what: str) -> dict[str, Any]:
     """Return classes, or ``module:Class``, by name, as they are listed now."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for module in REGISTRIES[what].modules:
         found |= getattr(importlib.import_module(module), what, {})
     return found

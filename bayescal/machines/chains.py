@@ -292,7 +292,7 @@ def _make_chain(path: Path, chosen: Sequence[Element], links: Mapping[str, Eleme
         if kind not in (*MOVING, "fixed"):
             raise InputError(f"{where}: found type {kind!r}, expected one of {', '.join(MOVING)}, fixed")
         if one.find("mimic") is not None:
-            raise InputError(f"{where}: found a joint that follows another, expected joints of their own")
+            raise InputError(f"{where}: found a joint that mimics another, expected independent joints")
         here = before.then(place)
         link = links[_name_link(path, one, "child")]
         mass, centre = _read_mass(path, link)

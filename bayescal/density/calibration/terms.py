@@ -89,7 +89,7 @@ class TermRows:
         for name in names:
             if not any(name in some for some in known):
                 all_names = ", ".join(dict.fromkeys(filter(None, (n for some in known for n in some[1:]))))
-                raise InputError(f"found channel {name!r}, expected some of {all_names}")
+                raise InputError(f"found channel {name!r}, expected one of {all_names}")
         return np.flatnonzero([any(name in some for name in names) for some in known])
 
 
@@ -621,7 +621,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
     }
     supplied = [pair for pair in zip(leading, (factor, variance, columns), strict=True) if pair[1] is not None]
     if len(supplied) != 1:
-        raise InputError("expected one of factor, variance and columns of a term")
+        raise InputError("expected factor, variance or columns")
     for what, one in supplied:
         assert one is not None
         expected = leading[what]

@@ -100,7 +100,7 @@ class PlannedPosesConfig(Section):
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
         if self.sampling == "file" and (files != 1 or self.count is not None):
-            raise ValueError("expected one of count, file and configurations")
+            raise ValueError("expected count, file or configurations")
         if self.sampling != "file" and (files or self.count is None):
             raise ValueError(f"expected count, no file, for sampling {self.sampling!r}")
         if self.unit_mm != 1.0 and self.configurations is None:
@@ -214,7 +214,7 @@ class ExpectedErrorConfig(ModelErrorConfig):
     @model_validator(mode="after")
     def _check_expected(self) -> Self:
         if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
-            raise ValueError(f"expected_um: found {sorted(strange)}, expected some of {self.terms}")
+            raise ValueError(f"expected_um: found {sorted(strange)}, expected one of {self.terms}")
         self.check_floors(self.terms)
         return self
 

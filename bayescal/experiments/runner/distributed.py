@@ -151,9 +151,7 @@ class Cluster(Engine):
         if not self.own or now - seen < WORKER_TIMEOUT_S or self.client.status != "running":
             return seen
         if not self.client.nthreads():
-            raise NumericalError(
-                f"all workers of {self.address} were killed, perhaps for want of memory; continue with --resume"
-            )
+            raise NumericalError(f"all workers of {self.address} were killed (out of memory?); continue with --resume")
         return now
 
     def _send[S, T](self, function: Callable[[S, T], object], shared: S) -> object:

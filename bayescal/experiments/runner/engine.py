@@ -78,7 +78,7 @@ def _name_kill[R](outcomes: Iterator[R]) -> Iterator[R]:
     try:
         yield from outcomes
     except TerminatedWorkerError as error:
-        said = "a worker was killed, perhaps for want of memory; go on with --resume"
+        said = "a worker was killed (out of memory?); continue with --resume"
         raise NumericalError(said) from error
 
 

@@ -614,7 +614,7 @@ class ReadingModel(ABC):
             found = {other for other in self.names if name in (other, other.partition("[")[0])}
             found = found or self._names_of_instrument(name)
             if not found:
-                raise InputError(f"sensor {name!r}: expected some of {', '.join(self.names)}")
+                raise InputError(f"sensor {name!r}: expected one of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
 

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bayescal.config.sections import Section
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.files.plain_text import add_article
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
@@ -61,8 +61,8 @@ def check_members(name: str, machine: ReadingMachine) -> None:
     known = {name for one in machine.channels for name in (one.name, one.kind)}
     for name in machine.commanded:
         if name not in known:
-            channels = ", ".join(one.name for one in machine.channels)
-            raise InputError(f"{where}: commanded: found {name!r}, expected some of {channels}")
+            channels = [one.name for one in machine.channels]
+            raise InputError(say_unknown(f"{where}: commanded", name, channels))
 
 
 def check_tool(model: FunctionModel) -> None:

@@ -229,7 +229,7 @@ def tabulate_sets(results: AuditResults) -> Table | None:
         (Column("RMSE", "", reduced), write_reduced("reduced_true_error", "")),
         (Column("90 % coverage", "", reduced), cover_reduced),
     ]
-    note = "RMSE at deviations of one prior sd (first order)."
+    note = "RMSE at one prior sd (first order)."
     return _tabulate("Predicted sd and RMSE, full and reduced set.", fields, _by_symbol(results), [note])
 
 

@@ -119,9 +119,7 @@ def find_frames(
     search = _Search.prepare(found.free(config), placed, readings, deviations, symbols)
     if search is None:
         for symbol in wide:
-            raise InputError(
-                f"instruments: {symbol}: missing, expected its value, as own channels do not locate the tool"
-            )
+            raise InputError(f"instruments: {symbol}: expected its value: own channels do not locate the tool")
         return found
     values, begin, told = dict[str, Instrument](), dict[str, float](), list[str]()
     for k, (name, one) in enumerate(zip(instruments, placed.instruments, strict=True)):
