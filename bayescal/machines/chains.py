@@ -17,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_reversed
 from bayescal.limits import LONGEST
 from bayescal.numerics.geometry import Array
 
@@ -378,7 +378,7 @@ def _read_ends(path: Path, joint: Element, kind: str) -> tuple[float, float]:
     unit = MM if kind == "prismatic" else 1.0
     low, high = (unit * float(_read_numbers(path, limit, key, "0", 1)[0]) for key in ("lower", "upper"))
     if not low < high:
-        raise InputError(f"{path}, line {limit.line}: limit: found {low:g} to {high:g}, expected the smaller first")
+        raise InputError(say_reversed(f"{path}, line {limit.line}: limit", low, high))
     return low, high
 
 

@@ -25,6 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.schema import ALONE, INDEPENDENT, ModelErrorConfig, PriorConfig, TermName
+from bayescal.errors import say_reversed, say_twice
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,
@@ -379,10 +380,10 @@ class AuditConfig(ExperimentConfig):
         names = [one.name for one in self.variants]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"variants: found {name!r} twice, expected unique names")
+                raise ValueError(say_twice("variants", name))
         for name, (low, high) in self.workspace.items() if isinstance(self.workspace, dict) else ():
             if not low < high:
-                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller first")
+                raise ValueError(say_reversed(f"workspace.{name}", low, high))
         return self
 
     @model_validator(mode="after")

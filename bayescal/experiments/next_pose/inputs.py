@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import read_moves
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.errors import InputError, say_unknown
+from bayescal.errors import InputError, say_reversed, say_unknown
 from bayescal.experiments.next_pose.schema import NextCandidatesConfig, NextPoseConfig
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import check_arrays
@@ -247,7 +247,7 @@ def _read_bounds(config: NextPoseConfig, measured: MeasuredReadings) -> tuple[Ar
             raise InputError(say_unknown("workspace", name, names))
         k = names.index(name)
         if not bounds[0] < bounds[1]:
-            raise InputError(f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller first")
+            raise InputError(say_reversed(f"workspace.{name}", bounds[0], bounds[1]))
         low[k], high[k] = (units.factor(coordinates[k].unit) * one for one in bounds)
     return low, high
 

@@ -324,7 +324,7 @@ def list_rereads(position: Array, rotation: Array) -> Iterator[tuple[str, Array,
 def _describe_angles(axes: str) -> str:
     columns = ROLL_PITCH_YAW if axes == FIXED else name_angles(axes)
     return (
-        f"rx_deg, ry_deg, rz_deg seem to be angles about fixed axes {', '.join(axes)}: call "
+        f"rx_deg, ry_deg and rz_deg seem to be angles about the fixed axes {', '.join(axes)}: call "
         f"them {', '.join(columns)}" + ("" if axes == FIXED else ", in that order")
     )
 

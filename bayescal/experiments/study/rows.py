@@ -28,7 +28,7 @@ from bayescal.experiments.shared.rows import (
 from bayescal.files.rows import TableRow, column
 
 EXTERNAL = "whether an instrument beside the machine reads it"
-DATA_SET = "which readings the variant takes in; evidences of different ones do not compare"
+DATA_SET = "readings taken in; evidences of others do not compare"
 PARETO_K = "Pareto k of the importance weights"
 CLAIM_VERDICTS = ("holds", "does not hold", "not testable")
 
@@ -55,9 +55,9 @@ class VariantRow(TableRow, table="variants"):
     log_evidence_check_se: float | None = column(STANDARD_ERROR, "nat", None)
     efficiency: float = column(EFFICIENCY)
     pareto_k: float = column(PARETO_K)
-    misfit_chi2: float = column("sum of squared residuals / noise, mode")
+    misfit_chi2: float = column("sum of (residual / noise)² at the mode")
     misfit_dof: float = column("their degrees of freedom")
-    prior_chi2: float = column("sum of squared deviations from nominal / prior sd")
+    prior_chi2: float = column("sum of (deviation from nominal / prior sd)²")
     prior_dof: float = column("how many these are")
     rhat_max: float = column("largest R-hat of the parameters")
     ess_bulk_min: float = column("smallest bulk effective sample size")
@@ -127,7 +127,7 @@ class PoseRow(TableRow, table="poses"):
     pareto_k: float = column(PARETO_K)
     loo_refitted: bool = column("whether it was sampled again")
     n_dof: int = column("readings less coordinates")
-    chi2: float = column("sum of squared residuals / noise")
+    chi2: float = column("sum of (residual / noise)²")
     p_value: float = column("probability of a larger chi²")
     robust_weight: float = column("mean precision; 1: no outlier")
     is_outlier: bool = column("whether its residuals contradict the noise")

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bayescal.config.sections import Section
-from bayescal.errors import InputError, say_unknown
+from bayescal.errors import InputError, say_twice, say_unknown
 from bayescal.files.plain_text import add_article
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
@@ -54,7 +54,7 @@ def check_members(name: str, machine: ReadingMachine) -> None:
         names = [one.symbol if isinstance(one, ParameterBlock) else one.name for one in found]
         for one_name in names:
             if names.count(one_name) > 1:
-                raise InputError(f"{where}: {member}: found {one_name!r} twice, expected unique names")
+                raise InputError(say_twice(f"{where}: {member}", one_name))
     if not machine.parameters or not machine.channels:
         raise InputError(f"{where}: expected at least one parameter and one channel")
     _check_rotations(f"{where}: channels", machine.channels)

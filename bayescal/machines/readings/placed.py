@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_twice
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings.base import (
     NO_CONDITIONS,
@@ -362,5 +362,5 @@ def place_instruments(machine: ReadingModel, instruments: Mapping[str, Instrumen
     for names in (found.layout.symbols, tuple(one.stem for one in found.channels)):  # by which columns name channels
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"instruments: found {name!r} twice, expected unique names")
+                raise InputError(say_twice("instruments", name))
     return found
