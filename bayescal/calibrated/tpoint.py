@@ -98,7 +98,7 @@ def _describe_rest(calibrated: CalibratedMachine, model: ReadingModel, scatter: 
     apart = np.sqrt(slopes**2 @ np.diagonal(covariance)) / ARCSECOND
     one, other = (np.sqrt(np.mean(values**2, axis=0)) for values in (together, apart))
     lines.append(
-        f"Standard errors omit correlations: as independent they imply {other[0]:.3g} arcsec "
+        f"Standard errors omit correlations: as independent they give an uncertainty of {other[0]:.3g} arcsec "
         f"in {first} and {other[1]:.3g} in {second}, rms over the workspace; it is {one[0]:.3g} and {one[1]:.3g}."
     )
     sd = np.sqrt(np.diagonal(covariance))

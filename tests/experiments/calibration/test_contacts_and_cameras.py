@@ -272,7 +272,7 @@ def test_a_measured_machine_touches_where_it_is_planned_to(tmp_path):
 
 
 PLANS = {
-    "unknown": ("bowl\n", "cup\n", "poses.csv, line 3: instruments: found 'cup', expected one of ball, bowl, bed"),
+    "unknown": ("bowl\n", "cup\n", "poses.csv, line 3: instruments: found 'cup', expected some of ball, bowl, bed"),
     "both": ("bowl\n", "ball bowl\n", "poses: pose 'C002': found contact with ball and bowl, expected one, named in"),
     "far": ("bowl\n", "ball\n", "poses: pose 'C002': found it 608.6 mm off ball, expected contact"),
     "no column": (
