@@ -11,7 +11,7 @@ from contextlib import suppress
 from functools import cached_property
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import ValidationError
@@ -78,7 +78,7 @@ class Data:
         noise: Noise,
         commanded_channels: Sequence[str] = (),
         verification_poses: Sequence[str] = (),
-        provenance: str | Mapping[str, Any] = UNSTATED["text"],
+        provenance: str | Mapping[str, object] = UNSTATED["text"],
         truth: pd.DataFrame | None = None,
     ) -> None:
         self.source = Path(table) if isinstance(table, str | Path) else name_rows(table)
@@ -118,12 +118,12 @@ class Data:
         return f"data: {len(self.table)} rows of {', '.join(self.noise)}; {self.provenance['text']}"
 
 
-def describe_noise(noise: Noise, channels: Sequence[Channel], columns: Sequence[str]) -> dict[str, dict[str, Any]]:
+def describe_noise(noise: Noise, channels: Sequence[Channel], columns: Sequence[str]) -> dict[str, dict[str, object]]:
     """Return the sections [sensors] of noises by channel or kind, in the units of their columns where there are any.
 
     What is wrong with names, columns and numbers says who reads the config.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, object]] = {}
     for name, value in noise.items():
         channel = next((one for one in channels if name in (one.name, one.kind)), None)
         if isinstance(value, Mapping) or channel is None:
@@ -156,7 +156,7 @@ def _list_channels(machine: MachineFiles, instruments: object) -> list[Channel]:
     return channels
 
 
-def _describe_widths(tolerances: Widths) -> dict[str, dict[str, Any]]:
+def _describe_widths(tolerances: Widths) -> dict[str, dict[str, object]]:
     return {
         name: dict(value) if isinstance(value, Mapping) else {"prior": "normal", "sd": value}
         for name, value in tolerances.items()
@@ -229,10 +229,10 @@ def _begin(kind: str, machine: AnyMachine, name: str, title: str, seed: int) -> 
 
 def calibrate(
     machine: AnyMachine,
-    data: Data | Mapping[str, Any] | Sequence[Mapping[str, Any]],
+    data: Data | Mapping[str, object] | Sequence[Mapping[str, object]],
     tolerances: Widths,
     *,
-    variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
+    variants: Mapping[str, Mapping[str, object]] = EVERYTHING,
     seed: int = 1,
     name: str = "study",
     title: str | None = None,
@@ -240,7 +240,7 @@ def calibrate(
     out: Path | str | None = None,
     workers: int = 1,
     quiet: bool = False,
-    **sections: Any,
+    **sections: object,
 ) -> StudyResult:
     """Return a machine calibrated from its readings: posteriors of all variants, ranked.
 
@@ -298,9 +298,9 @@ def calibrate(
         kind = type(data).__name__
         raise InputError(f"data: found a {kind}, expected Data(table, noise), which states the noise of its channels")
     _state_models(stated, tolerances, variants)
-    if effort != "standard":
-        sections["sampler"] = {**sections.get("sampler", {}), "effort": effort}
     stated.state(**sections)
+    if effort != "standard":
+        stated.content["sampler"] = {**stated.content.get("sampler", {}), "effort": effort}
     result = _run(stated, out, workers, quiet)
     assert isinstance(result, StudyResult)
     return result
@@ -314,7 +314,7 @@ def next_pose(
     seed: int = 1,
     out: Path | str | None = None,
     quiet: bool = False,
-    **sections: Any,
+    **sections: object,
 ) -> LoadedResults:
     """Return which pose to measure next, what it will bring, and whether to stop.
 
@@ -364,7 +364,7 @@ def simulate(
     n_poses: int = 25,
     *,
     seed: int = 1,
-    **sections: Any,
+    **sections: object,
 ) -> Data:
     """Return readings of a machine drawn within its tolerances, with its true parameters; never measured.
 
@@ -409,12 +409,12 @@ def audit(
     poses: int = 40,
     *,
     requirements: Mapping[str, float] | None = None,
-    variants: Mapping[str, Mapping[str, Any]] = EVERYTHING,
+    variants: Mapping[str, Mapping[str, object]] = EVERYTHING,
     seed: int = 1,
     out: Path | str | None = None,
     workers: int = 1,
     quiet: bool = False,
-    **sections: Any,
+    **sections: object,
 ) -> LoadedResults:
     """Return what planned readings would determine of a machine, before any are taken.
 
@@ -460,7 +460,7 @@ def _run(stated: StatedExperiment, out: Path | str | None, workers: int, quiet: 
         return wrap_results(run(config, stated.root, place, workers, quiet=quiet).results, trust=True, made_of=stated)
 
 
-def _state_models(stated: StatedExperiment, tolerances: Widths, variants: Mapping[str, Mapping[str, Any]]) -> None:
+def _state_models(stated: StatedExperiment, tolerances: Widths, variants: Mapping[str, Mapping[str, object]]) -> None:
     """Add what is uncertain of a machine, and the models that are compared."""
     stated.labels.update({f"variants.{k}": f"variants.{name}" for k, name in enumerate(variants)})
     stated.labels.update({f"parameters.{name}.sd": f"tolerances.{name}" for name in tolerances})

@@ -48,6 +48,21 @@ class InputError(BayescalError):
         return (str(self), *self.others)
 
 
+def say_unknown(where: str, found: object, known: Iterable[str]) -> str:
+    """Return that a name which was found somewhere is none of those known there."""
+    return f"{where}: found {found!r}, expected one of {', '.join(known) or 'none'}"
+
+
+def say_twice(where: str, name: str) -> str:
+    """Return that a name stands somewhere more than once."""
+    return f"{where}: found {name!r} twice, expected unique names"
+
+
+def say_reversed(where: str, low: float, high: float) -> str:
+    """Return that a range begins above its end."""
+    return f"{where}: found {low:g} to {high:g}, expected the smaller first"
+
+
 class SeveralFaultsError(InputError):
     """All faults that were looked for together; its message has a line for each."""
 

@@ -38,30 +38,31 @@ type AnyMachine = Path | str | ReadingMachine | type[ReadingMachine] | MachineFi
 class MachineFiles:
     """A machine with the files that it is read from, by their names in one folder; see `load_machine`.
 
-    ``seen`` is what it reads; of a mechanism's file the legs alone, whose parameters depend on a variant's model.
+    ``seen`` is what it reads; None of a mechanism's file, whose parameters depend on a model.
     """
 
     files: dict[str, bytes]
     entry: str  # the machine's own file
-    seen: ReadingModel | Mechanism
+    seen: ReadingModel | None
+    mechanism: Mechanism | None = None
 
     @property
     def model(self) -> ReadingModel:
         """The machine by its channels; InputError for a mechanism's file, which has none by itself."""
-        if isinstance(self.seen, Mechanism):
+        if self.seen is None:
             raise InputError(f"{self.entry}: found a mechanism, expected kind = 'legs'")
         return self.seen
 
     @property
     def channels(self) -> Sequence[Channel]:
         """Its channels; of a mechanism's file those of its legs, whatever model they are seen by."""
-        seen = self.seen
-        return list_leg_channels(seen.n_legs, inclined=True) if isinstance(seen, Mechanism) else seen.channels
+        legs = self.mechanism
+        return self.model.channels if legs is None else list_leg_channels(legs.n_legs, inclined=True)
 
     @property
     def name(self) -> str:
         """Its name."""
-        return str(getattr(self.seen, "name", self.entry))
+        return str(getattr(self.seen or self.mechanism, "name", self.entry))
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -85,9 +86,9 @@ class MachineFiles:
         return pd.DataFrame(self.model.read(theta, pose, known), columns=columns)
 
     def __repr__(self) -> str:
-        if isinstance(self.seen, Mechanism):
-            return f"mechanism {self.name!r}: {self.seen.n_legs} legs"
-        model = self.seen
+        if self.mechanism is not None:
+            return f"mechanism {self.name!r}: {self.mechanism.n_legs} legs"
+        model = self.model
         tool = ", ".join(one.name for one in model.tool_channels) if model.states_tool else "not stated"
         return (
             f"machine {self.name!r}: {model.layout.size} parameters ({', '.join(model.layout.symbols)}), "
@@ -144,9 +145,9 @@ def load_machine(
     if isinstance(machine, str | Path):
         path = Path(machine)
         legs = isinstance(read_toml(path)[0].get("legs"), dict)
-        seen = load_mechanism(path) if legs else read_reading_model(path)
+        seen = (None, load_mechanism(path)) if legs else (read_reading_model(path), None)
         files, names = keep_machines([path])
-        return MachineFiles(files, names[path], seen)
+        return MachineFiles(files, names[path], *seen)
     found = machine if isinstance(machine, type) else type(machine)
     config = getattr(machine, "config", None)
     section = config.model_dump(exclude_none=True) if isinstance(config, Section) else {}
@@ -168,9 +169,7 @@ def _list_sources(found: type) -> tuple[str, dict[str, bytes]]:
     except (OSError, TypeError):
         path = Path()
     if not path.is_file():
-        raise InputError(
-            f"class {found.__name__}: found no file, expected one: import it from a file beside the notebook"
-        )
+        raise InputError(f"class {found.__name__}: found no file, expected a class imported from one")
     name, content = path.name, path.read_bytes()
     if found.__module__ == "__main__":  # a script is not run again for the sake of a class
         name, content = f"{path.stem}.py", _extract(content.decode(), found.__name__).encode()

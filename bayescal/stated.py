@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bayescal.config.sections import ExperimentConfig
 from bayescal.errors import InputError, SeveralFaultsError
@@ -26,7 +27,7 @@ CONFIG = "study.toml"
 ARGUMENTS = {"parameters": "tolerances", "sensors": "noise", "poses.count": "poses"}
 """What a call names its arguments, by the keys of a config."""
 
-type Table = pd.DataFrame | Mapping[str, Any] | Path | str
+type Table = pd.DataFrame | Mapping[str, ArrayLike] | Path | str
 """A table, or the CSV file of one."""
 
 
@@ -117,7 +118,7 @@ class StatedExperiment:
         return text
 
 
-def name_rows(table: pd.DataFrame | Mapping[str, Any]) -> pd.DataFrame:
+def name_rows(table: pd.DataFrame | Mapping[str, ArrayLike]) -> pd.DataFrame:
     """Return a table whose first column names the poses: its own, else the index, else P1, P2 ..."""
     import pandas as pd
 

@@ -12,7 +12,7 @@ import pytest
 import studies
 
 import bayescal
-from bayescal.config.built_in import BUILT_IN
+from bayescal.config.built_in import BUILT_IN, describe_built_in
 from bayescal.config.registry import REGISTRIES, is_own, list_references, load_class
 from bayescal.experiments import KINDS, SCHEMAS, USES
 from bayescal.experiments.runner.load import TITLES, find_kind, list_entries
@@ -48,7 +48,9 @@ def test_names_known_without_their_modules_are_those_of_the_classes():
     for what in REGISTRIES:
         found = {name: load_class(what, name, None) for name in list_references(what)}
         first = {name: inspect.getdoc(one).partition("\n\n")[0] for name, one in found.items() if not is_own(one)}
-        assert BUILT_IN[what] == {name: " ".join(text.split()) for name, text in first.items()}
+        told = {name: describe_built_in(what, name) for name in BUILT_IN[what]}
+        assert told == {name: " ".join(text.split()) for name, text in first.items()}
+        assert BUILT_IN[what] == {name: list_references(what)[name] for name in first}
 
 
 def test_schemas_known_without_their_kinds_are_those_of_the_kinds():

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -22,7 +21,6 @@ from bayescal.errors import InputError
 from bayescal.files.toml import format_toml
 from bayescal.machines.chains import Chain, DenavitRow, Joint, Place, find_rows
 from bayescal.machines.readings.arm import PLACES, TURNS, Arm
-from bayescal.machines.readings.function import FunctionModel
 from bayescal.numerics.geometry import Array, compute_left_inverse_jacobian
 
 METRE = 1e-3  # per mm
@@ -39,8 +37,7 @@ NEARLY_DEG = 2.0  # between axes, below which their rows are said to belong toge
 
 def is_arm(calibrated: CalibratedMachine) -> bool:
     """Return whether a calibrated machine is an arm."""
-    model = calibrated.model.bare
-    return isinstance(model, FunctionModel) and isinstance(model.machine, Arm)
+    return isinstance(calibrated.model.bare.of_function, Arm)
 
 
 def list_arm_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
@@ -123,7 +120,7 @@ def list_dh_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
             said.append(
                 f"Axes of {one.name} and {other.name} are parallel to {angle:.2g} deg: their d belong together."
             )
-    machine: dict[str, Any] = {"convention": "modified" if modified else "classical"}
+    machine: dict[str, object] = {"convention": "modified" if modified else "classical"}
     machine |= config.model_dump(exclude_defaults=True, include={"down", "workspace_deg"})
     for name, place in (("base", base.then(more)), ("tip", tip)):
         machine[f"{name}_mm"] = _round(place.position)
@@ -153,9 +150,13 @@ def _describe_ends(joint: Joint) -> dict[str, list[float]]:
 class _Held:
     """An arm and what a file holds of it: some parameters, all others nominal."""
 
-    bare: BareMachine
-    arm: Arm
+    bare: BareMachine[Arm]
     theta: Array  # (D,)
+
+    @property
+    def arm(self) -> Arm:
+        """The arm itself."""
+        return self.bare.machine
 
     @property
     def description(self) -> str:
@@ -178,7 +179,6 @@ def _hold(calibrated: CalibratedMachine, what: str, symbols: Sequence[str]) -> _
     """
     bare = take_machine(calibrated, what, {"arm": Arm})
     model = bare.model
-    assert isinstance(model.machine, Arm)
     theta = model.layout.nominal.copy()
     places = np.concatenate([model.layout.index[symbol] for symbol in symbols])
     theta[places] = bare.theta[places]
@@ -190,7 +190,7 @@ def _hold(calibrated: CalibratedMachine, what: str, symbols: Sequence[str]) -> _
         apart = compute_pose_differences(wanted, here) * scale
         rows = (slopes[..., places] * scale[:, None]).reshape(-1, len(places))
         theta[places] += np.linalg.lstsq(rows, apart.ravel(), rcond=LEAST)[0]
-    return _Held(bare, model.machine, theta)
+    return _Held(bare, theta)
 
 
 def compute_pose_differences(wanted: Array, here: Array) -> Array:

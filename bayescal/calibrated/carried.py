@@ -12,7 +12,6 @@ from scipy.stats import qmc
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.errors import InputError
 from bayescal.machines.readings import FunctionModel, ReadingMachine
-from bayescal.machines.readings.places import TwoPlaces
 from bayescal.numerics.geometry import Array
 
 SAMPLES = 256  # poses of the workspace
@@ -22,10 +21,11 @@ SUFFIXES = (".cfg", ".csv", ".g", ".gcode", ".hal", ".toml", ".urdf", ".yaml")
 
 
 @dataclass(frozen=True, eq=False)
-class BareMachine:
+class BareMachine[M: ReadingMachine]:
     """A machine of one place without instruments, and its parameters (D,) as calibrated."""
 
-    model: FunctionModel
+    machine: M
+    model: FunctionModel  # of the machine
     theta: Array
     given: Mapping[str, Array]
 
@@ -63,21 +63,23 @@ class BareMachine:
 def describe_share(whole: float, left: float, file: str = "The file", unit: str = "mm") -> str:
     """Return in words how much of what the tool is off nominal a file carries, both rms over the workspace."""
     carried = f"{file} {CARRIES} {max(0.0, whole - left):.2g} of {whole:.2g} {unit}"
-    said = f"{carried} by which the tool is off nominal, rms over the workspace"
+    said = f"{carried} of the tool's deviation, rms over the workspace"
     return said if left < NOTHING_MM else f"{said}; {left:.2g} {unit} are left"
 
 
-def take_machine(calibrated: CalibratedMachine, what: str, kinds: Mapping[str, type[ReadingMachine]]) -> BareMachine:
+def take_machine[M: ReadingMachine](
+    calibrated: CalibratedMachine, what: str, kinds: Mapping[str, type[M]]
+) -> BareMachine[M]:
     """Return a calibrated machine of one of some kinds; InputError for another."""
-    model = calibrated.model.bare
-    machine: object = model.machine if isinstance(model, FunctionModel) else None
-    machine = machine.machine if isinstance(machine, TwoPlaces) else machine
-    if not isinstance(machine, ReadingMachine) or not isinstance(machine, tuple(kinds.values())):
-        expected = " or ".join(f'kind = "{name}"' for name in kinds)
-        raise InputError(f"format {what}: found machine {calibrated.name!r}, expected {expected}")
-    one = FunctionModel(calibrated.name, machine)
-    given = {name: calibrated.given[name] for name in one.given if name in calibrated.given}
-    return BareMachine(one, calibrated.theta[: one.layout.size], given)
+    whole = calibrated.model.bare.of_function
+    machine = None if whole is None else whole.at_one_place
+    for kind in kinds.values():
+        if isinstance(machine, kind):
+            one = FunctionModel(calibrated.name, machine)
+            given = {name: calibrated.given[name] for name in one.given if name in calibrated.given}
+            return BareMachine(machine, one, calibrated.theta[: one.layout.size], given)
+    expected = " or ".join(f'kind = "{name}"' for name in kinds)
+    raise InputError(f"format {what}: found machine {calibrated.name!r}, expected {expected}")
 
 
 def describe_carried(paths: Iterable[Path]) -> list[str]:

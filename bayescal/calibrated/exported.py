@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -116,7 +116,7 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     if not calibrated.machine_file:
         raise InputError(f"machine {calibrated.name!r}: found no machine file, expected one")
     hashes = [hash_file(content) for content in calibrated.files.values()]
-    own: dict[str, Any] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
+    own: dict[str, object] = {"machine": calibrated.machine_file, "sha256": hashes, "parameters": PARAMETERS}
     if calibrated.workspace is not None:
         names = [one.name for one in calibrated.model.coordinates]
         own["workspace"] = dict(zip(names, calibrated.workspace.T, strict=True))
@@ -124,7 +124,7 @@ def list_function_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     return texts | dict(calibrated.files)
 
 
-def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, Any]) -> dict[str, str]:
+def _format_calibrated(calibrated: CalibratedMachine, machine: Mapping[str, object]) -> dict[str, str]:
     """Return the file that names all others, and the table of the poses that calibrated a machine."""
     source, errors = calibrated.source, calibrated.errors
     beside = {"covariance": COVARIANCE, "draws": DRAWS, "functions": FUNCTIONS, "measured": MEASURED}
@@ -459,7 +459,7 @@ def format_mechanism(mechanism: Mechanism, comments: Sequence[str] = ()) -> str:
     """Return the text of a mechanism's file that `bayescal.machines.read` takes, comment lines above."""
     flexures, load = mechanism.flexures, mechanism.load
     side = "below" if mechanism.platform_below else "above"
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "name": mechanism.name,
         "base": {"points_mm": mechanism.base_points},
         "platform": {"points_mm": mechanism.platform_points},

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -67,7 +66,7 @@ def list_toml_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     return {"parameters.toml": format_toml(calibrated.source.describe(), _describe(calibrated)).encode()}
 
 
-def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
+def _describe(calibrated: CalibratedMachine) -> dict[str, object]:
     model, theta, source = calibrated.model, calibrated.theta, calibrated.source
     of = {block.symbol: model.layout.index[block.symbol] for block in model.layout.blocks}
     return {
@@ -96,7 +95,7 @@ def _describe(calibrated: CalibratedMachine) -> dict[str, Any]:
     }
 
 
-def _describe_legs(machine: Machine) -> dict[str, Any]:
+def _describe_legs(machine: Machine) -> dict[str, object]:
     mechanism = machine.mechanism
     return {
         "model": machine.model.name,
@@ -131,7 +130,7 @@ def list_urdf_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     said = [*calibrated.source.describe(), "Lengths in m, angles in rad; joints zero at home."]
     if gains is not None:  # joints of the tree have the true travel
         each = ", ".join(f"leg {k} {float(gain)!r}" for k, gain in enumerate(gains, start=1))
-        said.append(f"Joint = gain * (actuator reading - initial position): {each}.")
+        said.append(f"Joint = gain * (reading - initial position): {each}.")
     for comment in said:
         robot.append(Xml.Comment(f" {comment.replace('--', '- -')} "))
     for name in ("base", "platform"):

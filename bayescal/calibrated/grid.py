@@ -71,9 +71,7 @@ def list_grid_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     calibrated = take_one_place(calibrated)
     check_determined(calibrated)
     if calibrated.drawn is None:
-        raise InputError(
-            "format grid: found an exported mechanism without its drawing, expected the results of a study"
-        )
+        raise InputError("format grid: found an exported mechanism, expected results of a study")
     controller = _Controller(calibrated, calibrated.drawn)
     low, high = bound_workspace(replace(calibrated, model=calibrated.drawn))
     n = max((one for one in ALONG if one ** len(low) <= MOST), default=2)
@@ -97,12 +95,12 @@ def list_grid_files(calibrated: CalibratedMachine) -> dict[str, bytes]:
     parts += [wanted / units, correction / units]
     said = [
         *calibrated.source.describe(),
-        "Ask the nominal machine for tool + correction, and the tool is there. Rotations: vectors about base axes.",
+        "Command the nominal machine to tool + correction. Rotations: vectors about base axes.",
         f"{n} nodes along each of {', '.join(one.name for one in coordinates)}.",
         f"Of {len(good)} nodes {len(good) - good.sum()} are out of reach, or singular.",
     ]
     if there.of_geometry is not None:
-        said.append("sd: standard uncertainty of a correction by the posterior's draws.")
+        said.append("sd: standard uncertainty of a correction.")
         columns += [f"sd_{one.stem}_{unit}" for one, (unit, _) in zip(tool, fine, strict=True)]
         parts.append(np.sqrt(np.diagonal(there.of_geometry, axis1=1, axis2=2)) * [size for _, size in fine])
     digits = ["{:.6g}" if name.startswith("sd_") else "{:.10f}" for name in columns]

@@ -19,7 +19,6 @@ from bayescal.calibrated.carried import take_machine
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.calibrated.printer_formats import fit_delta, write_numbers
 from bayescal.errors import InputError, name_faults
-from bayescal.machines.deformations import NoDeformation
 from bayescal.machines.models.six_pus import SixPus
 from bayescal.machines.models.six_ups import SixUps
 from bayescal.machines.readings.delta import DeltaMachine
@@ -33,7 +32,7 @@ HELP = (
 GAINED = "With gains: joint N = length N + gain N * (actuator position - initial position)."
 TOWERS_HELP = (
     "LinuxCNC lineardeltakins, mm. Load after `loadrt lineardeltakins`.",
-    "A joint is the height of its carriage; HOME_OFFSET, at its endstop, goes into the ini file.",
+    "Joint: carriage height; HOME_OFFSET, at the endstop, for the ini file.",
 )
 TOWERS_DEG = np.array([90.0, 210.0, 330.0])
 ASIDE_DEG = 20.0
@@ -51,7 +50,7 @@ def check_perfect_legs(calibrated: CalibratedMachine, what: str, drives: tuple[s
             f"format {what}: found model {machine.model.name!r} in variant {variant!r}, expected "
             f"perfect joints, {SixPus.name} or {SixUps.name}"
         )
-    if not isinstance(machine.deformation, NoDeformation):
+    if not machine.deformation.is_rigid:
         raise InputError(f"format {what}: found a flexible platform in variant {variant!r}, expected a rigid one")
 
 

@@ -46,7 +46,7 @@ def find_export_obstacle(machine: Machine) -> str:
     """
     if type(machine.model) not in MODELS.values() or type(machine.deformation) not in DEFORMATIONS.values():
         return "a user-defined model or deformation, expected built-in ones"
-    if isinstance(machine.deformation, FreeMatrixDeformation):
+    if machine.deformation.name == FreeMatrixDeformation.name:
         return "deformation 'free_matrix', expected 'matrix' or another"
     if machine.mechanism.n_legs != DEGREES_OF_FREEDOM and not machine.model.has_perfect_joints:
         return (

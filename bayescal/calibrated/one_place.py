@@ -8,7 +8,7 @@ import numpy as np
 
 from bayescal.calibrated.machine import CalibratedMachine
 from bayescal.machines.readings import FunctionModel, InstrumentedMachine
-from bayescal.machines.readings.places import PLACES, TwoPlaces, name_channel
+from bayescal.machines.readings.places import PLACES, name_channel
 
 
 def take_one_place(calibrated: CalibratedMachine) -> CalibratedMachine:
@@ -17,15 +17,15 @@ def take_one_place(calibrated: CalibratedMachine) -> CalibratedMachine:
     Any other is returned as it is; so is one with errors that are functions of both places.
     """
     whole = calibrated.model.bare
-    pair = whole.machine if isinstance(whole, FunctionModel) else None
-    if not isinstance(pair, TwoPlaces) or calibrated.functions is not None:
+    pair = whole.of_function
+    if pair is None or pair.at_one_place is pair or calibrated.functions is not None:
         return calibrated
-    one = FunctionModel(calibrated.name, pair.machine)
+    one = FunctionModel(calibrated.name, pair.at_one_place)
     names = [[name_channel(channel, place).name for channel in one.channels] for place in PLACES]
     read = [k for k, name in enumerate(names[0]) if name in whole.names]
     one = one.pick(np.array(read, dtype=int))
-    instruments = calibrated.model.instruments if isinstance(calibrated.model, InstrumentedMachine) else ()
-    model = InstrumentedMachine(one, instruments) if instruments else one
+    instruments = calibrated.model.beside
+    model = InstrumentedMachine(one, tuple(instruments)) if instruments else one
     own = [name_channel(channel, PLACES[0]).name for channel in one.channels]
     places = [calibrated.model.names.index(name) for name in (*own, *model.names[len(own) :])]
     commands = [[names[k][one.sensors.index(channel)] for channel in one.channels] for k in range(len(PLACES))]

@@ -17,7 +17,8 @@ With towers at directions α, arms l, radius r and the tool at height e where a 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import singledispatch
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -41,6 +42,9 @@ MODES = {("right", "right"): 1, ("left", "right"): 2, ("left", "left"): 4}
 DIGITS = 9  # behind the point, mm and degrees
 
 
+type Printer = BareMachine[ReadingMachine]
+
+
 # --- deltas ----------------------------------------------------------------------------------------------------------
 
 
@@ -55,15 +59,15 @@ class _Towers:
     held: Array  # the same in the layout of its machine
 
 
-def _read_towers(printer: BareMachine) -> _Towers:
+def _read_towers(printer: Printer) -> _Towers:
     """Return a delta's towers; those of one radius that fit best where the calibrated ones have several."""
     held = printer.theta if len(printer.take("r")) == 1 else _fit_radius(printer)
-    one = BareMachine(printer.model, held, printer.given)
+    one = replace(printer, theta=held)
     towers = (one.take("l"), one.take("e"), np.degrees(one.take("angle")))
     return _Towers(float(one.take("r")[0]), *towers, held)
 
 
-def _fit_radius(printer: BareMachine) -> Array:
+def _fit_radius(printer: Printer) -> Array:
     """Return parameters of one radius whose tool is nearest to the calibrated one at the same commands."""
     symbols = ("angle", "l", "e")
 
@@ -74,7 +78,7 @@ def _fit_radius(printer: BareMachine) -> Array:
     return fit_delta(printer, unpack, start, np.array([1.0] + [0.01] * TOWERS + [1.0] * 2 * TOWERS))
 
 
-def fit_delta(printer: BareMachine, unpack: Callable[[Array], Array], start: Array, scale: Array) -> Array:
+def fit_delta(printer: Printer, unpack: Callable[[Array], Array], start: Array, scale: Array) -> Array:
     """Return the parameters (D,), out of some numbers x, whose tool is nearest to the calibrated one's.
 
     At the same commands, by Gauss and Newton's method.
@@ -90,7 +94,7 @@ def fit_delta(printer: BareMachine, unpack: Callable[[Array], Array], start: Arr
     return unpack(least_squares(leave, start, x_scale=scale).x)
 
 
-def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[BareMachine, _Towers]:
+def _take_delta(calibrated: CalibratedMachine, what: str) -> tuple[Printer, _Towers]:
     printer = take_machine(calibrated, what, {"delta": DeltaMachine})
     return printer, _read_towers(printer)
 
@@ -139,29 +143,30 @@ def list_reprapfirmware_files(calibrated: CalibratedMachine) -> dict[str, bytes]
     """Return ``config.g``: M665 and M666 of a delta, M669 of a rotary one, a Hangprinter or a five-bar."""
     kinds: dict[str, type[ReadingMachine]] = {"delta": DeltaMachine, "rotary_delta": RotaryDelta}
     printer = take_machine(calibrated, REPRAP, kinds | {"line_machine": LineMachine, "five_bar": FiveBar})
-    if isinstance(printer.model.machine, LineMachine):
-        held, lines = _list_hangprinter(printer, printer.model.machine)
-    elif isinstance(printer.model.machine, FiveBar):
-        held, lines = printer.theta, _list_five_bar(printer, printer.model.machine)
-    elif isinstance(printer.model.machine, RotaryDelta):
-        held, lines = printer.theta, _list_rotary(printer)
-    else:
-        towers = _read_towers(printer)
-        held, height = towers.held, float(towers.endstops.mean())
-        arms = ":".join(write_numbers(towers.arms))
-        lines = [
-            f"M665 L{arms} {_list_words('RH', (towers.radius, height))} {_list_turns(towers.angles)}",
-            f"M666 {_list_words('XYZ', towers.endstops - height)} A0.0 B0.0",
-        ]
+    held, lines = _list_commands(printer.machine, printer)
     said = [f"; {one}" for one in (*calibrated.source.describe(), printer.describe(held))]
     return {"config.g": ("\n".join([*said, *lines]) + "\n").encode()}
+
+
+@singledispatch
+def _list_commands(machine: ReadingMachine, printer: Printer) -> tuple[Array, list[str]]:
+    """Return the parameters that a printer's commands hold, and these, by its machine; by default those of a delta."""
+    del machine
+    towers = _read_towers(printer)
+    height = float(towers.endstops.mean())
+    return towers.held, [
+        f"M665 L{':'.join(write_numbers(towers.arms))} {_list_words('RH', (towers.radius, height))} "
+        f"{_list_turns(towers.angles)}",
+        f"M666 {_list_words('XYZ', towers.endstops - height)} A0.0 B0.0",
+    ]
 
 
 # --- machines on lines -----------------------------------------------------------------------------------------------
 
 
-def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array, list[str]]:
-    """Return the parameters that commands of a Hangprinter hold, and these."""
+@_list_commands.register
+def _list_hangprinter(machine: LineMachine, printer: Printer) -> tuple[Array, list[str]]:
+    """Return those of a Hangprinter."""
     if len(machine.parallel) != len(LINES):
         raise InputError(f"format {REPRAP}: found {len(machine.parallel)} lines, expected {len(LINES)}")
     anchors = np.stack([printer.take(f"A_{axis}") for axis in "xyz"], axis=-1)
@@ -169,7 +174,7 @@ def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array
     parallel = ":".join(f"{int(one)}" for one in machine.parallel)
     radii = ":".join(write_numbers(printer.take("R")))
     return printer.change(c=0.0), [
-        f"; Gear {machine.gear!r}: L and H of M666, teeth of motor and spool, stay as they are.",
+        f"; Gear {machine.gear!r}: L and H of M666 stay.",
         f"M669 K6 {places}",
         f"M666 Q{write_numbers(printer.take('Q'))[0]} R{radii} U{parallel} O1:1:1:1",
     ]
@@ -178,24 +183,27 @@ def _list_hangprinter(printer: BareMachine, machine: LineMachine) -> tuple[Array
 # --- arms that turn --------------------------------------------------------------------------------------------------
 
 
-def _list_arms(printer: BareMachine, words: Mapping[str, str]) -> str:
+def _list_arms(printer: Printer, words: Mapping[str, str]) -> str:
     """Return values of several arms, or of one for all, by the words and the symbols that have them."""
     return " ".join(f"{word}{':'.join(write_numbers(printer.take(symbol)))}" for word, symbol in words.items())
 
 
-def _list_rotary(printer: BareMachine) -> list[str]:
-    """Return the commands of a rotary delta; M666 is what the encoders' zeros add to the angle of the endstops."""
+@_list_commands.register
+def _list_rotary(machine: RotaryDelta, printer: Printer) -> tuple[Array, list[str]]:
+    """Return those of a rotary delta; M666 is what the encoders' zeros add to the angle of the endstops."""
+    del machine
     height = ":".join(write_numbers(np.repeat(printer.take("h"), TOWERS)))
     turns = _list_turns(np.degrees(printer.take("angle")))
-    return [
-        "; M666 of arms whose endstops, with M666 of zero, were homed to the larger angle of A in the readings.",
+    return printer.theta, [
+        "; M666 for arms homed, with M666 of zero, to the larger angle of A.",
         f"M669 K10 {_list_arms(printer, {'R': 'r', 'U': 'L', 'L': 'l'})} H{height} {turns}",
         f"M666 {_list_words('XYZ', np.degrees(printer.take('o')))}",
     ]
 
 
-def _list_five_bar(printer: BareMachine, machine: FiveBar) -> list[str]:
-    """Return the command of a five-bar; InputError for elbows that the firmware has no mode for."""
+@_list_commands.register
+def _list_five_bar(machine: FiveBar, printer: Printer) -> tuple[Array, list[str]]:
+    """Return that of a five-bar; InputError for elbows that the firmware has no mode for."""
     mode = MODES.get((machine.config.elbows[0], machine.config.elbows[1]))
     below = machine.coordinates[1].home - machine.coordinates[1].reach <= printer.take("y").max()
     if mode is None or below:
@@ -203,7 +211,8 @@ def _list_five_bar(printer: BareMachine, machine: FiveBar) -> list[str]:
         raise InputError(f"format {REPRAP}: found {found}, expected the tool above, elbows outwards or to one side")
     ends = ":".join(write_numbers(np.degrees(printer.take("o"))))
     arms = _list_arms(printer, {"X": "x", "Y": "y", "P": "L", "D": "l"})  # behind D: the tool where couplers meet
-    return ["; B is where cranks point when encoders read zero.", f"M669 K9 L{mode} {arms}:0.0:0.0 B{ends}"]
+    command = f"M669 K9 L{mode} {arms}:0.0:0.0 B{ends}"
+    return printer.theta, ["; B is where cranks point when encoders read zero.", command]
 
 
 FORMATS = {KLIPPER: list_klipper_files, MARLIN: list_marlin_files, REPRAP: list_reprapfirmware_files}

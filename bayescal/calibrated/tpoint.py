@@ -83,7 +83,7 @@ def _describe_rest(calibrated: CalibratedMachine, model: ReadingModel, scatter: 
     first, second = (name.replace("_", " ") for name in DIRECTIONS[axes])
     lines = [*calibrated.source.describe()]
     if axes == ALTAZIMUTH:
-        lines.append("Terms are those of azimuths from north through east, as TPOINT has them.")
+        lines.append("Terms for azimuths from north through east.")
     lines.append(f"Scatter of a pointing beside the terms: {first} {scatter[0]:.3g}, {second} {scatter[1]:.3g} arcsec.")
     covariance = calibrated.covariance
     if covariance is None:
@@ -98,7 +98,7 @@ def _describe_rest(calibrated: CalibratedMachine, model: ReadingModel, scatter: 
     apart = np.sqrt(slopes**2 @ np.diagonal(covariance)) / ARCSECOND
     one, other = (np.sqrt(np.mean(values**2, axis=0)) for values in (together, apart))
     lines.append(
-        f"Standard errors hold no correlations: taken as independent they make an uncertainty of {other[0]:.3g} arcsec "
+        f"Standard errors omit correlations: as independent they give an uncertainty of {other[0]:.3g} arcsec "
         f"in {first} and {other[1]:.3g} in {second}, rms over the workspace; it is {one[0]:.3g} and {one[1]:.3g}."
     )
     sd = np.sqrt(np.diagonal(covariance))

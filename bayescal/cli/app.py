@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 import typer
 
@@ -171,7 +171,7 @@ def spread_options(command: Callable[..., None]) -> Callable[..., None]:
     ]
 
     @functools.wraps(command)
-    def take(**given: Any) -> None:
+    def take(**given: object) -> None:
         command(**{options.name: options.annotation(**{one.name: given.pop(one.name) for one in spread})}, **given)
 
     take.__signature__ = inspect.Signature([*(one.replace(kind=kind) for one in own if one is not options), *spread])  # type: ignore[attr-defined]

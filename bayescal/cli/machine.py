@@ -317,11 +317,9 @@ def verify(
     stated = None if position_um is None else (position_um, orientation_arcsec)
     tables = find_session_tables(results, calibrated, options.experiment, instrument, stated)
     if tables is None and (position_um is not None or orientation_arcsec is not None):
-        raise InputError(
-            "verify: found --position-um or --orientation-arcsec, expected --noise-from: no poses are read"
-        )
+        raise InputError("verify: found --position-um or --orientation-arcsec, expected --noise-from")
     if tables is not None and sensors is not None:
-        raise InputError("verify: found --sensors, expected none for a machine whose tool an instrument measures")
+        raise InputError("verify: found --sensors, expected none: an instrument measures the tool")
     if (orientation_arcsec is not None) > (position_um is not None) or (
         tables is not None and tables.instrument is None and position_um is not None and orientation_arcsec is None
     ):

@@ -1,108 +1,100 @@
-"""Names of the package's own classes that a config can use, and what each is: known without their modules.
+"""Names of the package's own classes that a config can use, and what each is: known without importing them.
 
-`bayescal list` and the schemas for editors need no more, and importing every class takes seconds. The texts are the
-classes' own first sentences; where names lead to is listed in the packages of the classes (see `registry`).
+`bayescal list` and the schemas for editors need no more, and importing every class takes seconds.
 """
 
+import ast
+from functools import cache
+from pathlib import Path
 from typing import Final
+
+PACKAGE = Path(__file__).parents[1]
 
 BUILT_IN: Final[dict[str, dict[str, str]]] = {
     "KINDS": {
-        "audit": "What a machine's measurements can and cannot determine.",
-        "selection": "Which poses to measure, by criteria and methods compared.",
-        "selftest": "A study's config, checked by simulation and against its data.",
-        "sessions": (
-            "One machine measured again and again, or machines of one design: what moved, by how much, how sure."
-        ),
-        "simulation": (
-            "Readings of any machine, or what an instrument sees of a platform on legs, with the truth beside them."
-        ),
-        "study": "A machine calibrated from what was measured of it: variants ranked by evidence and by prediction.",
-        "sweep": "Many experiments of one kind that differ in some keys.",
-        "table": "What actuators have to do by elevation, temperature and the like.",
+        "audit": "bayescal.experiments.audit.kind:Audit",
+        "selection": "bayescal.experiments.selection.kind:Selection",
+        "selftest": "bayescal.experiments.selftest.kind:Selftest",
+        "sessions": "bayescal.experiments.sessions.kind:Sessions",
+        "simulation": "bayescal.experiments.simulation.kind:Simulation",
+        "study": "bayescal.experiments.study.kind:Study",
+        "sweep": "bayescal.experiments.sweep.kind:Sweep",
+        "table": "bayescal.experiments.table.kind:LookUpTable",
     },
     "BLOCKS": {},
     "CLAIMS": {},
     "MACHINES": {
-        "arm": "Joints in a chain; commands, or encoders, of each.",
-        "delta": "Carriages below their endstops, and the height that a probe on the tool reads of the bed.",
-        "five_bar": "Encoders of two cranks; instruments see the tool.",
-        "line_machine": "A point on lines with encoders at their spools, seen or not by an instrument beside it.",
-        "mount": "Encoders of both axes, and where the mount points on the sky.",
-        "rotary_delta": "Encoders of the upper arms, and the height that a probe on the tool reads of the bed.",
-        "sliding_platform": (
-            "A planar platform on N sliding legs with its sensors, and its tool's pose as an instrument sees it."
-        ),
-        "strut_machine": (
-            "A hexapod on struts with encoders, seen or not by an instrument, at known elevations and temperatures."
-        ),
+        "arm": "bayescal.machines.readings.arm:Arm",
+        "delta": "bayescal.machines.readings.delta:DeltaMachine",
+        "five_bar": "bayescal.machines.readings.five_bar:FiveBar",
+        "line_machine": "bayescal.machines.readings.line_machine:LineMachine",
+        "mount": "bayescal.machines.readings.mount:Mount",
+        "rotary_delta": "bayescal.machines.readings.rotary_delta:RotaryDelta",
+        "sliding_platform": "bayescal.machines.readings.sliding_platform:SlidingPlatform",
+        "strut_machine": "bayescal.machines.readings.strut_machine:StrutMachine",
     },
     "INSTRUMENTS": {
-        "camera": "A camera: position and rotation vector of a calibration board in the camera's frame.",
-        "distance": (
-            "A ball bar or a draw-wire: the distance from a fixed point to a point on the tool, less that "
-            "where it is zero."
-        ),
-        "plane": "A touch probe on a plane: how high its tip is over it, zero where it touches.",
-        "point": "A tracked point: x, y and z of a target on the tool, in the instrument's frame.",
-        "pose": "A tracked pose: position and rotation vector of a frame on the tool, in the instrument's frame.",
-        "socket": "A socket of a ball: by how much its centre is off the socket's place, along the axes of the base.",
+        "camera": "bayescal.machines.readings.camera:CameraInstrument",
+        "distance": "bayescal.machines.readings.points:DistanceInstrument",
+        "plane": "bayescal.machines.readings.planes:PlaneInstrument",
+        "point": "bayescal.machines.readings.points:PointInstrument",
+        "pose": "bayescal.machines.readings.points:PoseInstrument",
+        "socket": "bayescal.machines.readings.sockets:SocketInstrument",
     },
     "READERS": {},
     "MODELS": {
-        "beam": "P-U-S legs whose joints are flexures that bend as beams.",
-        "jacobian": "Kinematics linear in pose and actuators.",
-        "six_pus": "P-U-S legs with perfect joints.",
-        "six_ups": "U-P-S struts with perfect joints.",
-        "stiffness": "Static equilibrium on legs that are chains of beams, taken along the legs as they stand.",
-        "stiffness_fixed": "The report's own: K of every leg stays as it is at the home pose (eq. 28).",
+        "beam": "bayescal.machines.models.beam:Beam",
+        "jacobian": "bayescal.machines.models.jacobian:Jacobian",
+        "six_pus": "bayescal.machines.models.six_pus:SixPus",
+        "six_ups": "bayescal.machines.models.six_ups:SixUps",
+        "stiffness": "bayescal.machines.models.stiffness:Stiffness",
+        "stiffness_fixed": "bayescal.machines.models.stiffness:FixedStiffness",
     },
     "DEFORMATIONS": {
-        "free_matrix": (
-            "Every actuator moves every joint, Δb_z = K Δρ, and nothing of K is known but a tolerance: "
-            "nominally it is zero."
-        ),
-        "linear": "Each joint follows its own actuator, Δb_z,i = κ_i Δρ_i (RR-8096 eq. 1); ``kappa`` is nominal.",
-        "matrix": "Every actuator moves every joint, Δb_z = K Δρ (RR-8096 eq. 2), K of shape (N, N) in mm per mm.",
-        "none": "No deformation: the platform is rigid, b* = b (RR-8096 section 7.1).",
+        "free_matrix": "bayescal.machines.deformations:FreeMatrixDeformation",
+        "linear": "bayescal.machines.deformations:LinearDeformation",
+        "matrix": "bayescal.machines.deformations:MatrixDeformation",
+        "none": "bayescal.machines.deformations:NoDeformation",
     },
     "ERRORS": {
-        "function": "Functions of F channels, which share G scales and a length.",
+        "function": "bayescal.density.calibration.functions:FunctionErrors",
     },
     "SAMPLERS": {
-        "emcee": (
-            "Ensembles that mix jumps of the proposal with emcee's differential evolution; each ensemble is a chain."
-        ),
-        "nautilus": (
-            "Importance nested sampling from the prior by the library nautilus, an outside check of the evidence."
-        ),
-        "smc": "Sequential Monte Carlo from the prior to the posterior, which owes nothing to the search for modes.",
+        "emcee": "bayescal.inference.samplers:EmceeSampler",
+        "nautilus": "bayescal.inference.nautilus:NautilusSampler",
+        "smc": "bayescal.inference.samplers:TemperingSampler",
     },
     "SENSORS": {
-        "pose": (
-            "Whole poses, or only positions or orientations, as a laser tracker with its probe has them, "
-            "noise independent."
-        ),
-        "targets": (
-            "Targets on the platform, and on the base where the instrument's own frame wanders: "
-            "photogrammetry, a tracker."
-        ),
+        "pose": "bayescal.machines.sensors:PoseSensor",
+        "targets": "bayescal.machines.sensors:PointSensor",
     },
     "CRITERIA": {
-        "A": "Minus the mean posterior variance of parameters, in shares of the prior's.",
-        "D": "½ log det(1 + Λ): what the poses tell of the parameters, in nats, prior and noise counted.",
-        "I": "Minus the mean over the workspace of the predicted pose's weighted variance that the parameters cause.",
-        "O1": "O1 = (σ_1 … σ_L)^(1/L) / √n.",
-        "O2": "O2 = σ_L / σ_1.",
-        "O3": "O3 = σ_L.",
-        "O4": "O4 = σ_L² / σ_1.",
-        "O5": "O5 = 1 / Σ 1/σ_i.",
+        "A": "bayescal.pose_selection.criteria.trace:AOptimality",
+        "D": "bayescal.pose_selection.criteria.log_det:DOptimality",
+        "I": "bayescal.pose_selection.criteria.trace:IOptimality",
+        "O1": "bayescal.pose_selection.criteria.log_det:O1",
+        "O2": "bayescal.pose_selection.criteria.spectral:O2",
+        "O3": "bayescal.pose_selection.criteria.spectral:O3",
+        "O4": "bayescal.pose_selection.criteria.spectral:O4",
+        "O5": "bayescal.pose_selection.criteria.spectral:O5",
     },
     "METHODS": {
-        "continuous": "Local optimisation of all poses of a set that another method found.",
-        "exchange": (
-            "Eliminate and add; where the pose that matters least stays the best choice, the next one is tried."
-        ),
-        "random": "The best of random sets; its trace holds the criterion of each (Yu, Wu and Wang 2023, figure 7).",
+        "continuous": "bayescal.pose_selection.methods:Continuous",
+        "exchange": "bayescal.pose_selection.methods:Exchange",
+        "random": "bayescal.pose_selection.methods:RandomSets",
     },
 }
+"""``module:Class`` by name, for each registry."""
+
+
+def describe_built_in(what: str, name: str) -> str:
+    """Return the first paragraph of a built-in class's docstring, as its source has it."""
+    module, _, found = BUILT_IN[what][name].partition(":")
+    return " ".join(_read_docstrings(module)[found].partition("\n\n")[0].split())
+
+
+@cache
+def _read_docstrings(module: str) -> dict[str, str]:
+    """Return the docstrings of a module's classes by name."""
+    source = PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py").read_text(encoding="utf-8")
+    return {one.name: ast.get_docstring(one) or "" for one in ast.parse(source).body if isinstance(one, ast.ClassDef)}

@@ -32,11 +32,11 @@ class ClassName(str):
     """A class's name as a config gives it, with its options there; and the class where it was read from a file."""
 
     registry: str
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
     found: type | None
 
     def __new__(
-        cls, name: str, registry: str = "", options: Mapping[str, Any] | None = None, found: type | None = None
+        cls, name: str, registry: str = "", options: Mapping[str, object] | None = None, found: type | None = None
     ) -> Self:
         """Make a name that knows its class."""
         self = super().__new__(cls, name)
@@ -57,14 +57,14 @@ class ClassMark:
     registry: str
     beside: bool = False  # whether options stand beside the name, in its section (see `OwnSection`)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         """Return the schema of a name, or of a table with a name and options."""
         del source, handler
         return core_schema.with_info_plain_validator_function(
             self._read, serialization=core_schema.plain_serializer_function_ser_schema(_write)
         )
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: object) -> dict[str, object]:
         """Return what an editor is told: the known names, or any reference, or a table with a class's options."""
         del schema, handler
         known = {"enum": list_names(self.registry)}
@@ -88,7 +88,7 @@ class ClassMark:
         return ClassName(name, self.registry, options, found)
 
 
-def _split(value: object) -> tuple[str, Mapping[str, Any]]:
+def _split(value: object) -> tuple[str, Mapping[str, object]]:
     """Return name and options of what stands in a config."""
     if isinstance(value, ClassName):
         return str(value), value.options
@@ -100,7 +100,7 @@ def _split(value: object) -> tuple[str, Mapping[str, Any]]:
     return name, {key: one for key, one in value.items() if key != CLASS}
 
 
-def _write(value: str) -> str | dict[str, Any]:
+def _write(value: str) -> str | dict[str, object]:
     name, options = _split(value)
     return {CLASS: name, **options} if options else name
 
@@ -129,7 +129,7 @@ class OwnSection(Section):
         return self
 
 
-def check_options(found: type, options: Mapping[str, Any]) -> Section:
+def check_options(found: type, options: Mapping[str, object]) -> Section:
     """Return options as the section of their class; ValidationError where they are none.
 
     An unknown key is told those that the class knows.
@@ -160,7 +160,7 @@ class ClassReference[T]:
     """A class that a config names, with its checked options."""
 
     found: type[T]
-    options: Any
+    options: object
 
     def make(self, *context: object) -> T:
         """Return one of the class: by `__init__(config, ...)` where it has one of its own.
@@ -175,7 +175,7 @@ class ClassReference[T]:
 
 
 def choose[T](
-    what: str, name: str, base: type[T], field: str, folder: Path, options: Mapping[str, Any] | None = None
+    what: str, name: str, base: type[T], field: str, folder: Path, options: Mapping[str, object] | None = None
 ) -> ClassReference[T]:
     """Return the class of a registry that a config names, a subclass of a base, and its options.
 

@@ -9,7 +9,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
@@ -33,7 +33,7 @@ _TABLE = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _KEY = re.compile(r"^\s*([\w.\-\"']+)\s*=")
 
 
-def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+def read_toml(path: Path) -> tuple[dict[str, object], str]:
     """Return a TOML file's content and its text; InputError where it is none."""
     text = read_text(path, "a TOML config")
     try:
@@ -44,7 +44,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise InputError(f"{path}: not valid TOML: {error}") from error
 
 
-def read_extended(path: Path, depth: int = 0) -> tuple[dict[str, Any], str]:
+def read_extended(path: Path, depth: int = 0) -> tuple[dict[str, object], str]:
     """Return a TOML file's content and its text, tables filled in from what it extends.
 
     A key ``extends`` names another config, relative to this one; its tables are filled in where this one is silent.
@@ -75,7 +75,7 @@ def list_extended(name: str, folder: Path) -> tuple[str, ...]:
     return tuple(found)
 
 
-def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def merge(below: dict[str, object], above: dict[str, object]) -> dict[str, object]:
     """Return tables merged key by key; what is no table is replaced, and a table that has another kind too."""
     result = dict(below)
     for key, value in above.items():
@@ -89,7 +89,7 @@ def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def check_section[S: Section](
-    schema: type[S], content: dict[str, Any], path: Path, text: str, folder: Path | None = None
+    schema: type[S], content: dict[str, object], path: Path, text: str, folder: Path | None = None
 ) -> S:
     """Return content as a section, the classes that it names looked up beside its file, or in another ``folder``.
 
@@ -225,7 +225,7 @@ def describe_unknown_key(known: Iterable[str], key: str) -> str:
     return f"unknown key{suggest(key, known)}, expected {expected}"
 
 
-def dump_config(config: Section) -> dict[str, Any]:
+def dump_config(config: Section) -> dict[str, object]:
     """Return a config as plain JSON-ready values."""
     return TypeAdapter(type(config)).dump_python(config, mode="json")
 

@@ -172,7 +172,7 @@ def send_by_value(module: ModuleType) -> None:
 class _BuiltLater:
     """What pydantic builds of a schema, built when it is first asked for: by then the schema has come whole."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         if name.startswith("__"):
             raise AttributeError(name)
         if "built" not in self.__dict__:

@@ -88,7 +88,7 @@ def list_names(what: str) -> list[str]:
 
 def _list_built_in(what: str) -> dict[str, Any]:
     """Return classes, or ``module:Class``, by name, as they are listed now."""
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for module in REGISTRIES[what].modules:
         found |= getattr(importlib.import_module(module), what, {})
     return found
@@ -174,7 +174,7 @@ def load_class(what: str, name: str, folder: Path | None) -> type:
     return found
 
 
-def _check_members(what: str, name: str, found: type, built_in: Mapping[str, Any]) -> None:
+def _check_members(what: str, name: str, found: type, built_in: Mapping[str, object]) -> None:
     """Raise InputError where a class lacks a method or a text, or would be taken for a built-in one."""
     members = REGISTRIES[what].members
     texts = [one for one in members if not isinstance(getattr(found, one, None), str)]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_unknown
 from bayescal.files.csv_tables import CsvTable, read_matrix, read_table
 from bayescal.machines.readings import Channel
 from bayescal.machines.readings.base import narrow_range
@@ -58,9 +58,7 @@ def read_uses(table: CsvTable) -> np.ndarray:
     uses = table.text("use")
     for row, use in enumerate(uses):
         if use not in USES:
-            raise InputError(
-                f"{table.where(row)}: {table.name('use')}: found {use!r}, expected one of {', '.join(USES)}"
-            )
+            raise InputError(say_unknown(f"{table.where(row)}: {table.name('use')}", use, USES))
     return np.array([use == "verification" for use in uses])
 
 

@@ -130,9 +130,9 @@ class ModelErrorConfig(Section):
         """Raise ValueError for a floor of what is not among the terms of any variant."""
         if isinstance(self.floor_um, dict):
             if strange := set(self.floor_um) - set(terms):
-                raise ValueError(f"floor_um: found {sorted(strange)}, expected some of {[*terms]}")
+                raise ValueError(f"floor_um: found {sorted(strange)}, expected one of {[*terms]}")
         elif self.floor_um > 0.0 and not set(LASTING) & set(terms):
             raise ValueError(
-                f"floor_um: found {self.floor_um:g} with terms {[*terms]}, expected some of "
+                f"floor_um: found {self.floor_um:g} with terms {[*terms]}, expected one of "
                 f"{[*LASTING]}, or a size by term"
             )

@@ -23,9 +23,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.files.atomic import read_text
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class TableForm:
             if start is not None:
                 found = [(one, fits) for one, fits in found if int(fits[1]) >= int(start[1])]
             if not found:
-                raise InputError(f"{self.where('columns')}: found {name!r}, expected one of {', '.join(cells.header)}")
+                raise InputError(say_unknown(f"{self.where('columns')}", name, cells.header))
             for one, fits in found:
                 number = int(fits[1]) - int(start[1]) if start else 0
                 named[one] = NUMBERED.sub(str(number + int(wanted[1])), here) if wanted else here
@@ -264,7 +264,7 @@ def _read_parquet(path: Path) -> TableCells:
         import pyarrow  # noqa: F401  # pandas would name several libraries
     except ImportError as error:
         raise InputError(
-            f"{path}: found a Parquet table, expected pyarrow, which reads it (pip install 'bayescal[parquet]'), or CSV"
+            f"{path}: found a Parquet table, expected pyarrow (pip install 'bayescal[parquet]'), or CSV"
         ) from error
     try:
         table = pd.read_parquet(BytesIO(path.read_bytes()), engine="pyarrow")
@@ -279,7 +279,7 @@ def cells_from_frame(table: pd.DataFrame, path: Path) -> TableCells:
     return TableCells(path, tuple(map(str, table.columns)), rows, tuple(range(2, len(rows) + 2)))
 
 
-def _write_value(value: Any) -> str:
+def _write_value(value: object) -> str:
     import pandas as pd
 
     return "" if value is None or value is pd.NA or value is pd.NaT or value != value else str(value)

@@ -293,7 +293,7 @@ class ToolRemaining:
     def _here(self) -> Readings:
         here = linearise_near(self._picked, self.theta, self.pose, self.given)
         if not np.isfinite(here.by_pose).all():
-            raise NumericalError("workspace: found poses that the calibrated machine cannot take")
+            raise NumericalError("workspace: found poses out of the calibrated machine's reach")
         return here
 
     @cached_property

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from string import Template
 from typing import Final, Protocol, cast
 
 from bayescal.errors import InputError
@@ -30,6 +31,15 @@ class Project:
     files: Mapping[str, bytes]
     found: tuple[str, ...] = ()
     advice: str = "bayescal validate study.toml"
+
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def fill_template(name: str, /, **values: object) -> str:
+    """Return a template of a project's file with values by the names that it has for them."""
+    text = (TEMPLATES / f"{name}.toml").read_text(encoding="utf-8")
+    return Template(text).substitute({key: str(value) for key, value in values.items()})
 
 
 class Importer(Protocol):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayescal.errors import InputError
+from bayescal.importers import fill_template
 
 ANGLES = (210.0, 330.0, 90.0)
 """Directions of towers 1 to 3 where nothing else is said, degrees."""
@@ -42,16 +43,14 @@ def format_delta(
     bed = min(bed, 0.99 * (min(arms) - radius))
     height = max(1.0, LEVEL * min(endstops))
     places = "places = 2              # a row is two places of the nozzle, or one alone\n" if paired else ""
-    return f"""# A linear delta with the geometry of {firmware}; mm and degrees.
-kind = "delta"
-name = "delta"
-title = "A delta printer"
-{places}
-[machine]
-radius_mm = {float(radius)!r}
-arm_mm = {[float(one) for one in arms]!r}
-endstop_mm = {[float(one) for one in endstops]!r}
-angle_deg = {[float(one) for one in angles]!r}
-workspace_radius_mm = {float(bed)!r}
-workspace_height_mm = {float(height)!r}
-"""
+    return fill_template(
+        "delta",
+        firmware=firmware,
+        places=places,
+        radius=repr(float(radius)),
+        arms=repr([float(one) for one in arms]),
+        endstops=repr([float(one) for one in endstops]),
+        angles=repr([float(one) for one in angles]),
+        bed=repr(float(bed)),
+        height=repr(float(height)),
+    )

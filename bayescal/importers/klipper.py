@@ -17,7 +17,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
-from bayescal.importers import Project
+from bayescal.importers import Project, fill_template
 from bayescal.importers.delta_files import ANGLES, LARGEST_MM, SMALLEST_MM, format_delta, parse_number
 
 SAVED = "#*#"
@@ -305,37 +305,7 @@ def _format_study(n_heights: int, n_distances: int, compared: bool) -> str:
         variants = f"""  {{ name = "arms_known", title = "Arms as stated", {free} }},
 """
     beside = '\n[[reference_values]]\ntitle = "Klipper\'s fit"\nfile = "data/klipper.csv"\n' if compared else ""
-    return f"""\
-# Which of radius, arms, tower directions and endstops do the readings of a printer's own calibration determine?
-kind = "study"
-name = "delta"
-title = "A delta printer from its own calibration"
-seed = 1
-machine = "machine.toml"
-noise_factor_log_sd = {{ probe_and_calliper = 1.0 }}  # how much heights and distances scatter is unknown
-variants = [                             # tower 3 says where x and y are
-{variants}]
-
-[provenance]
-status = "unstated"
-text = "heights and distances that the printer's firmware keeps"
-
-[[data]]
-file = "data/readings.csv"
-
-[sensors]                                # heights and distances weigh as in Klipper's fit
-s = {{ noise_um = 1.0 }}
-height = {{ noise_um = {HEIGHT_UM}, noise_group = "probe_and_calliper" }}
-{distance}
-[model_error]
-terms = []                               # the scatter takes in what the geometry leaves
-
-[parameters]                             # how far the nominal geometry may be off: mm and degrees
-r = {{ prior = "normal", sd = 10.0 }}
-angle = {{ prior = "normal", sd = 1.0 }}
-l = {{ prior = "normal", sd = 5.0 }}
-e = {{ prior = "normal", sd = 10.0 }}
-{beside}"""
+    return fill_template("delta_study", variants=variants, height=HEIGHT_UM, distance=distance, reference=beside)
 
 
 def _weigh_distance(n_heights: int, n_distances: int) -> str:

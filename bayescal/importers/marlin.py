@@ -19,7 +19,7 @@ import numpy as np
 
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
-from bayescal.importers import Project
+from bayescal.importers import Project, fill_template
 from bayescal.importers.delta_files import ANGLES, LARGEST_MM, SMALLEST_MM, format_delta, parse_number
 
 MARLIN, REPRAP = "marlin", "reprapfirmware"
@@ -105,7 +105,7 @@ def convert(path: Path, text: str, options: Mapping[str, str]) -> Project:
     files = {
         "machine.toml": format_delta(source, radius, arms, endstops, angles, bed).encode(),
         "heights.csv": _format_heights(bed).encode(),
-        "audit.toml": AUDIT.encode(),
+        "audit.toml": fill_template("delta_audit").encode(),
     }
     return Project(files, tuple(said), "bayescal audit audit.toml")
 
@@ -153,28 +153,3 @@ def _format_heights(bed: float) -> str:
             [f"H{k + 1}", *(repr(round(share * bed * float(f(turn)), 3) + 0.0) for f in (np.cos, np.sin)), "0.0"]
         )
     return format_table(["Points of the bed whose heights are probed."], ["pose", "x_mm", "y_mm", "z_mm"], rows)
-
-
-AUDIT = """# What would heights of the bed determine of radius, tower directions and endstops, arms known or not?
-kind = "audit"
-name = "delta_heights"
-title = "A delta printer: what heights of seven points determine"
-seed = 1
-machine = "machine.toml"
-poses = { file = "heights.csv" }
-model_error = { terms = [] }
-variants = [                             # tower 3 says where x and y are
-  { name = "arms_known", title = "Arms as measured", free = ["r", "angle", "e"], fixed = ["angle[3]"] },
-  { name = "arms_unknown", title = "Arms unknown, too", fixed = ["angle[3]"] },
-]
-
-[sensors]
-s = { noise_um = 5.0 }
-height = { noise_um = 20.0 }
-
-[parameters]                             # how far the geometry may be off: mm and degrees
-r = { prior = "normal", sd = 3.0 }
-angle = { prior = "normal", sd = 1.0 }
-l = { prior = "normal", sd = 1.0 }
-e = { prior = "normal", sd = 3.0 }
-"""

@@ -23,7 +23,7 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
 from bayescal.files.plain_text import make_plain
-from bayescal.importers import Project
+from bayescal.importers import Project, fill_template
 from bayescal.machines.readings.mount import ALTAZIMUTH, TERMS, correct_altazimuth
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import ARCSECOND
@@ -241,18 +241,7 @@ def _write_stars(stars: Array, caption: str, where: str, start: str) -> str:
 def _write_machine(stars: Array, caption: str, where: str, start: str) -> str:
     low = max(5.0 * math.floor(stars[:, 1].min() / 5.0), 1.0)
     high = min(5.0 * math.ceil(stars[:, 1].max() / 5.0), 89.0)
-    return f"""\
-# A mount of azimuth and elevation, from {where}.
-# Free in study.toml are the terms of pointing: zeros, tilt and squareness of the axes, flexure of the tube.
-kind = "mount"
-name = "mount"
-title = {_quote(caption)}
-
-[machine]
-azimuth_from = "{start}"
-azimuth_deg = [0.0, 360.0]
-elevation_deg = [{low}, {high}]        # where pointing counts; as far as the stars reach
-"""
+    return fill_template("mount", where=where, title=_quote(caption), start=start, low=low, high=high)
 
 
 def _write_study(stars: Array, scatter: Array, caption: str, file: str) -> str:
@@ -261,54 +250,15 @@ def _write_study(stars: Array, scatter: Array, caption: str, file: str) -> str:
     priors = dict.fromkeys(TERMS[ALTAZIMUTH], others) | {"IA": zeros[0], "IE": zeros[1]}
     tolerances = "\n".join(f'{name} = {{ prior = "normal", sd = {float(sd)} }}' for name, sd in priors.items())
     flexure = [name for name in TERMS[ALTAZIMUTH] if name != "TX"]
-    return f"""\
-# Which terms of pointing do these stars determine, and how well does the mount point?
-kind = "study"
-name = "mount"
-title = {_quote(caption)}
-seed = 1
-machine = "machine.toml"
-
-[provenance]
-status = "measured"
-text = {_quote(caption)}
-source = {_quote(file)}
-licence = "not stated"
-
-[units]
-angle = "arcsec"
-
-[[data]]
-file = "data/stars.csv"
-
-[sensors]                              # arcsec; what least squares leave, by how much these are wrong is found
-"encoder[1]" = {{ noise_arcsec = {scatter[0]}, noise_group = "azimuth_axis" }}
-"encoder[2]" = {{ noise_arcsec = {scatter[1]}, noise_group = "elevation_axis" }}
-azimuth = {{ noise_arcsec = 0.01 }}      # catalogues are exact beside it
-elevation = {{ noise_arcsec = 0.01 }}
-
-[noise_factor_log_sd]
-azimuth_axis = 1.0
-elevation_axis = 1.0
-
-[model_error]
-terms = []                             # the scatter of each axis takes in what the terms leave
-
-[parameters]                           # tolerances, arcsec: state what is known of the mount
-{tolerances}
-
-[[variants]]
-name = "eight"
-title = "All eight terms"
-
-[[variants]]
-name = "no_tx"
-title = "Flexure as a cosine alone"
-free = {json.dumps(flexure)}
-
-[validation]
-folds = 5
-"""
+    return fill_template(
+        "mount_study",
+        title=_quote(caption),
+        source=_quote(file),
+        first=scatter[0],
+        second=scatter[1],
+        tolerances=tolerances,
+        flexure=json.dumps(flexure),
+    )
 
 
 def _quote(text: str) -> str:

@@ -19,7 +19,7 @@ from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table
 from bayescal.files.memory import MemoryPath
 from bayescal.files.toml import write_toml
-from bayescal.importers import Project
+from bayescal.importers import Project, fill_template
 from bayescal.importers.xacro_files import SUFFIX, expand, name_urdf
 from bayescal.machines.chains import name_arm, read_urdf
 from bayescal.machines.readings import place
@@ -36,32 +36,6 @@ N_POSES, TRIES = 40, 2000
 SAME = 3  # digits of rad or mm, to which configurations are the same
 INNER = 0.95  # of the joints' ranges
 APART = 0.4  # of how far out sockets stand, by which two are apart
-AUDIT = """# What would {by} tell of the arm's joints and links?
-kind = "audit"
-name = "{name}_{instrument}"
-title = "{title}: what {by} determines"
-seed = 1
-machine = "machine.toml"
-poses = {{ file = "configurations.csv" }}
-model_error = {{ terms = [] }}
-variants = [                             # the first joint's frame is the base's
-  {{ name = "links", title = "Links and zeros of the joints", fixed = [{fixed}]{tied} }},
-]
-
-{instruments}
-[sensors]
-{repeats}{noise}
-[units]
-angle = "deg"
-
-[parameters]                             # how far the arm may be off: mm and degrees
-x = {{ prior = "normal", sd = 1.0 }}
-y = {{ prior = "normal", sd = 1.0 }}
-rx = {{ prior = "normal", sd = 0.25 }}
-ry = {{ prior = "normal", sd = 0.25 }}
-offset = {{ prior = "normal", sd = 0.5 }}
-{zeros}tool = {{ prior = "normal", sd = 2.0 }}
-{parameters}"""
 
 
 REPEATS = "# how well the joints repeat"
@@ -148,9 +122,8 @@ def _write_audit(name: str, instrument: str, slides: Sequence[bool], places: Map
             by, tied = "a ball in two sockets", f", tied = [[{both}]]"
             apart = np.ptp(np.array([*places.values()])[:, 1])
             section += f"# they are {apart:.1f} mm apart along y, which is known: their y is off alike\n"
-    return AUDIT.format(
-        instruments=section, parameters=wide, noise=noise, by=by, instrument=instrument, tied=tied, **filled
-    )
+    filled |= {"instruments": section, "parameters": wide, "noise": noise}
+    return fill_template("arm_audit", by=by, instrument=instrument, tied=tied, **filled)
 
 
 def _spread(model: FunctionModel, count: int) -> Array:

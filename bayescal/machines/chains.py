@@ -17,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_reversed
 from bayescal.limits import LONGEST
 from bayescal.numerics.geometry import Array
 
@@ -292,7 +292,7 @@ def _make_chain(path: Path, chosen: Sequence[Element], links: Mapping[str, Eleme
         if kind not in (*MOVING, "fixed"):
             raise InputError(f"{where}: found type {kind!r}, expected one of {', '.join(MOVING)}, fixed")
         if one.find("mimic") is not None:
-            raise InputError(f"{where}: found a joint that follows another, expected joints of their own")
+            raise InputError(f"{where}: found a joint that mimics another, expected independent joints")
         here = before.then(place)
         link = links[_name_link(path, one, "child")]
         mass, centre = _read_mass(path, link)
@@ -378,7 +378,7 @@ def _read_ends(path: Path, joint: Element, kind: str) -> tuple[float, float]:
     unit = MM if kind == "prismatic" else 1.0
     low, high = (unit * float(_read_numbers(path, limit, key, "0", 1)[0]) for key in ("lower", "upper"))
     if not low < high:
-        raise InputError(f"{path}, line {limit.line}: limit: found {low:g} to {high:g}, expected the smaller first")
+        raise InputError(say_reversed(f"{path}, line {limit.line}: limit", low, high))
     return low, high
 
 

@@ -57,6 +57,7 @@ class Deformation(ABC):
     name: ClassVar[str]
     Config: ClassVar[type[Section]] = Section
     uses_matrix: ClassVar[bool] = False
+    is_rigid: ClassVar[bool] = False
     """Whether K enters, so that the uncertainty of a measured K counts."""
 
     @classmethod
@@ -105,6 +106,7 @@ class NoDeformation(Deformation):
     """No deformation: the platform is rigid, b* = b (RR-8096 section 7.1)."""
 
     name: ClassVar[str] = "none"
+    is_rigid: ClassVar[bool] = True
 
     def blocks(self, n_legs: int) -> tuple[ParameterBlock, ...]:
         """Return no parameters."""

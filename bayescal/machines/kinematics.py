@@ -392,7 +392,7 @@ def check_home_pose(machine: Machine) -> ForwardKinematics:
         home = solve_forward_kinematics(machine, theta, actuators)
     except NumericalError as error:
         raise InputError(
-            f"mechanism {mechanism.name!r}: no home pose found, expected legs that close{_name_widest_gap(mechanism)}; "
+            f"mechanism {mechanism.name!r}: found no home pose, expected legs that close{_name_widest_gap(mechanism)}; "
             f"{error}"
         ) from error
     jacobian = machine.linearise(theta, home.position, home.rotation, actuators).pose

@@ -81,7 +81,7 @@ def _place(seen: SeenPoses, y: Array, rng: np.random.Generator) -> tuple[Array, 
         if found.all() and np.isfinite(commands).all() and layout.inside(theta):
             return pose, commands
         y[:] = rng.standard_normal(len(y))
-    raise InputError("tolerances: found machines that miss planned poses, expected smaller ones")
+    raise InputError("tolerances: planned poses out of reach, expected smaller ones")
 
 
 class _LeastSquares:

@@ -241,7 +241,7 @@ def even_candidates(
     from scipy.stats import qmc  # half a second to import
 
     if levels is not None and levels < 2:
-        raise InputError(f"candidates: found {levels} levels per axis, expected at least 2")
+        raise InputError(f"candidates: found {levels} levels per axis, expected 2 or more")
     halton = qmc.Halton(domain.n_coordinates, scramble=rng is not None, rng=rng)
     halton.fast_forward(1)  # the first point, unscrambled, is a corner
 

@@ -13,7 +13,7 @@ from scipy.optimize import OptimizeResult, minimize
 from threadpoolctl import threadpool_limits
 
 from bayescal.config.sections import Section
-from bayescal.errors import InputError, NumericalError
+from bayescal.errors import InputError, NumericalError, say_unknown
 from bayescal.numerics.geometry import Array
 from bayescal.pose_selection.criteria import Scorer
 from bayescal.pose_selection.design import PlacedPoses
@@ -370,7 +370,7 @@ def select(problem: SelectionProblem, method: str | SelectionMethod, rng: np.ran
     """
     if isinstance(method, str):
         if method not in METHODS:
-            raise InputError(f"method: found {method!r}, expected one of {', '.join(METHODS)}")
+            raise InputError(say_unknown("method", method, METHODS))
         method = METHODS[method]()
     with threadpool_limits(1):  # many small matrices: more threads only wait for each other
         return method.select(problem, rng)

@@ -55,7 +55,7 @@ class Canvas(FigureCanvasAgg):
 
 
 def _do_both(first: Callable[..., None], second: Callable[..., None]) -> Callable[..., None]:
-    def do(*arguments: Any, **more: Any) -> None:
+    def do(*arguments: object, **more: object) -> None:
         first(*arguments, **more)
         second(*arguments, **more)
 

@@ -22,12 +22,12 @@ class FindingRow(TableRow, table="findings"):
     """A finding: what the page, the terminal and Python show, in their order."""
 
     subject: str = column("what it is about")
-    status: Status = column("good, note, warning, or bad: do not rely on the results before it is resolved")
-    value: float = column("the figure that it rests on; empty without one")
-    limit: float = column("what the figure is compared with; empty without one")
+    status: Status = column("good, note, warning, or bad: do not rely on the results")
+    value: float = column("its figure, or empty")
+    limit: float = column("what it is compared with, or empty")
     unit: str = column("of both")
     text: str = column("the finding in words")
-    action: str = column("what to do; empty where nothing is")
+    action: str = column("what to do, or empty")
 
     def __str__(self) -> str:
         """Return the finding as a line."""

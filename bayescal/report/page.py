@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -200,7 +199,7 @@ def set_symbol(symbol: str) -> Markup:
     return Markup("{}{}{}").format(text, lower, upper)
 
 
-def show_provenance(provenance: Mapping[str, Any]) -> PageSection:
+def show_provenance(provenance: Mapping[str, object]) -> PageSection:
     """Return the section that says what run, of which config and files, with which versions, made the results."""
     rows = [[title, str(provenance.get(key, NO_VALUE))] for key, title in RUN.items()]
     mappings = (

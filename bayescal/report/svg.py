@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from markupsafe import escape
-from matplotlib.backend_bases import RendererBase
+from matplotlib.backend_bases import GraphicsContextBase, RendererBase
 from matplotlib.colors import rgb2hex
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
 from matplotlib.textpath import text_to_path as any_text_to_path
 from matplotlib.transforms import Affine2D, Transform
+from numpy.typing import ArrayLike
 from PIL import Image
 
 from bayescal.report.figure_text import TIP
@@ -36,7 +37,7 @@ CAPS = {"projecting": "square", "butt": "butt", "round": "round"}
 CONTROLS = {Path.CURVE3: 1, Path.CURVE4: 2}  # points of a curve before its end
 OFF_HALVES = 1e-5  # of the last digit: a layout that differs by less is rounded alike
 MOST_TEXTS, MOST_NUMBERS = 4096, 32768
-_shapes: dict[str, Any] = {}
+_shapes: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 """Vertices and codes of all glyphs that were written, by matplotlib's names of them."""
 
 
@@ -61,6 +62,10 @@ class Line(NamedTuple):
 
     data: list[str]
     looks: str
+
+    def __str__(self) -> str:
+        """Return the path's element."""
+        return f'<path d="{"".join(self.data)}"{self.looks}/>'
 
 
 class SvgRenderer(RendererBase):
@@ -90,15 +95,13 @@ class SvgRenderer(RendererBase):
 
     def write(self) -> str:
         """Return what stands inside the SVG."""
-        counts = Counter(one.looks for one in self._parts if isinstance(one, Writing))
+        writings = [one if isinstance(one, Writing) else None for one in self._parts]
+        counts = Counter(one.looks for one in writings if one is not None)
         names: dict[tuple[str, str, str], str] = {}
         parts = list[str]()
-        for one in self._parts:
-            if isinstance(one, str):
-                parts.append(one)
-                continue
-            if isinstance(one, Line):
-                parts.append(f'<path d="{"".join(one.data)}"{one.looks}/>')
+        for part, one in zip(self._parts, writings, strict=True):
+            if one is None:
+                parts.append(str(part))
                 continue
             glyphs, scale, attributes = one.looks
             if counts[one.looks] == 1:
@@ -143,8 +146,8 @@ class SvgRenderer(RendererBase):
 
     def draw_path(
         self,
-        gc: Any,
-        path: Any,
+        gc: GraphicsContextBase,
+        path: Path,
         transform: Transform,
         rgbFace: Any = None,
     ) -> None:
@@ -163,33 +166,32 @@ class SvgRenderer(RendererBase):
 
     def draw_markers(
         self,
-        gc: Any,
-        marker_path: Any,
+        gc: GraphicsContextBase,
+        marker_path: Path,
         marker_trans: Transform,
-        path: Any,
+        path: Path,
         trans: Transform,
         rgbFace: Any = None,
     ) -> None:
         """Write a mark at each point of a path."""
-        codes = path.codes
         points = trans.transform(path.vertices)
-        if codes is not None:  # a curve has its mark at its end
+        if path.codes is not None:  # a curve has its mark at its end
             whole = path.cleaned(trans, remove_nans=True, curves=True)
-            ends = [k for k, code in enumerate(whole.codes[:-1]) if code in (Path.MOVETO, Path.LINETO)]
-            points = whole.vertices[ends]
+            ends = np.isin(np.asarray(whole.codes)[:-1], (Path.MOVETO, Path.LINETO))
+            points = np.asarray(whole.vertices)[:-1][ends]
         shape = marker_path.cleaned(marker_trans + Affine2D().scale(self.scale, -self.scale), curves=True)
         points = points[np.isfinite(points).all(axis=-1)]
         self._put_marks(gc, points, [(shape, self._write_style(gc, rgbFace))] * len(points))
 
     def draw_path_collection(
         self,
-        gc: Any,
+        gc: GraphicsContextBase,
         master_transform: Transform,
-        paths: Sequence[Any],
-        all_transforms: Any,
-        offsets: Any,
-        *others: Any,
-        **more: Any,
+        paths: Sequence[Path],
+        all_transforms: Sequence[ArrayLike],
+        offsets: ArrayLike | Sequence[ArrayLike],
+        *others: object,
+        **more: object,
     ) -> None:
         """Write marks at points, or lines and areas of the same kind."""
         helpers: Any = self  # of matplotlib, for those who draw collections
@@ -199,7 +201,7 @@ class SvgRenderer(RendererBase):
             path.cleaned(transform + Affine2D().scale(self.scale, -self.scale), remove_nans=True, curves=True)
             for path, transform in helpers._iter_collection_raw_paths(master_transform, paths, all_transforms)
         ]
-        points, marks = list[tuple[float, float]](), list[tuple[Any, str]]()
+        points, marks = list[tuple[float, float]](), list[tuple[Path, str]]()
         for x, y, shape, own, face in helpers._iter_collection(gc, shapes, offsets, *others, **more):
             points.append((x, y))
             marks.append((shape, self._write_style(own, face)))
@@ -208,15 +210,16 @@ class SvgRenderer(RendererBase):
             return
         for (x, y), (shape, style) in zip(points, marks, strict=True):
             at = (x * self.scale, (self.height - y) * self.scale)
-            self._put_path(gc, Path(shape.vertices + at, shape.codes), style)
+            self._put_path(gc, Path(np.asarray(shape.vertices) + at, shape.codes), style)
 
-    def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
+    def draw_image(self, gc: GraphicsContextBase, x: float, y: float, im: ArrayLike, transform: object = None) -> None:
         """Write pixels, whose first row is the lowest."""
-        height, width = (n * self.scale for n in im.shape[:2])
+        pixels = np.asarray(im)
+        height, width = (n * self.scale for n in pixels.shape[:2])
         if not height * width:
             return
         buffer = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(im[::-1])).save(buffer, format="png")
+        Image.fromarray(np.ascontiguousarray(pixels[::-1])).save(buffer, format="png")
         source = base64.b64encode(buffer.getvalue()).decode("ascii")
         at = f'x="{write_number(x * self.scale)}" y="{write_number((self.height - y) * self.scale - height)}"'
         size = f'width="{write_number(width)}" height="{write_number(height)}"'
@@ -224,7 +227,7 @@ class SvgRenderer(RendererBase):
             f'<image {at} {size} preserveAspectRatio="none" href="data:image/png;base64,{source}"/>', self._clip(gc)
         )
 
-    def draw_gouraud_triangles(self, *arguments: Any) -> None:
+    def draw_gouraud_triangles(self, *arguments: object) -> None:
         """Leave out what SVG has nothing for."""
         self.is_whole = False
 
@@ -232,20 +235,20 @@ class SvgRenderer(RendererBase):
         """Leave out that pixels are filtered."""
         self.is_whole = False
 
-    def draw_tex(self, *arguments: Any, **more: Any) -> None:
+    def draw_tex(self, *arguments: object, **more: object) -> None:
         """Leave out what TeX sets."""
         self.is_whole = False
 
     def draw_text(
         self,
-        gc: Any,
+        gc: GraphicsContextBase,
         x: float,
         y: float,
         s: str,
         prop: FontProperties,
         angle: float,
-        ismath: Any = False,
-        mtext: Any = None,
+        ismath: object = False,
+        mtext: object = None,
     ) -> None:
         """Write a line of text as glyphs."""
         glyphs = _set_text(s, prop.copy(), bool(ismath))
@@ -263,9 +266,9 @@ class SvgRenderer(RendererBase):
         """Return the figure's size, pixels."""
         return self.width, self.height
 
-    def points_to_pixels(self, points: Any) -> Any:
+    def points_to_pixels(self, points: ArrayLike) -> ArrayLike:
         """Return pixels."""
-        return points / self.scale
+        return np.asarray(points) / self.scale
 
     # --- how it is written -------------------------------------------------------------------------------------------
 
@@ -273,7 +276,7 @@ class SvgRenderer(RendererBase):
         self._line = None
         self._parts.extend((f"<g{clip}>", part, "</g>") if clip else (part,))
 
-    def _put_path(self, gc: Any, path: Any, style: str) -> None:
+    def _put_path(self, gc: GraphicsContextBase, path: Path, style: str) -> None:
         data = write_path(path)
         if not data or not style:
             return
@@ -285,7 +288,7 @@ class SvgRenderer(RendererBase):
         self._parts.append(line)
         self._line = None if "opacity" in style or "fill" in style else line
 
-    def _put_marks(self, gc: Any, points: np.ndarray, marks: Sequence[tuple[Any, str]]) -> None:
+    def _put_marks(self, gc: GraphicsContextBase, points: np.ndarray, marks: Sequence[tuple[Path, str]]) -> None:
         """Write marks, shapes with styles, at points in pixels."""
         self._line = None
         if not len(points):
@@ -295,7 +298,9 @@ class SvgRenderer(RendererBase):
         for shape, style in marks:
             if (id(shape), style) not in names:
                 names[id(shape), style] = self._define("m", "path", f' d="{write_path(shape, SHAPES)}"{style}/>')
-        reach = max(float(np.abs(shape.vertices).max()) for shape, _ in {id(one[0]): one for one in marks}.values())
+        reach = max(
+            float(np.abs(np.asarray(shape.vertices)).max()) for shape, _ in {id(one[0]): one for one in marks}.values()
+        )
         clip = self._clip(gc, Path(at), reach)
         if clip:
             self._parts.append(f"<g{clip}>")
@@ -315,9 +320,10 @@ class SvgRenderer(RendererBase):
             self._definitions.append(f'<{tag} id="{self._defined[key]}"{rest}')
         return self._defined[key]
 
-    def _clip(self, gc: Any, path: Any | None = None, reach: float = 0.0) -> str:
+    def _clip(self, gc: GraphicsContextBase, path: Path | None = None, reach: float = 0.0) -> str:
         """Return the attribute that clips, nothing where a path whose marks reach so far is inside anyway; points."""
-        shape, transform = gc.get_clip_path()
+        clipped: Any = gc.get_clip_path()  # a path, whatever its type says
+        shape, transform = clipped
         if shape is not None:
             data = write_path(shape.cleaned(transform + self._flipped, curves=True))
             name = self._define("c", "clipPath", f'><path d="{data}"/></clipPath>')
@@ -329,7 +335,9 @@ class SvgRenderer(RendererBase):
         low = np.array([x, self.height - y - height]) * self.scale
         high = low + np.array([width, height]) * self.scale
         if path is not None:
-            vertices = path.vertices[path.codes % Path.CLOSEPOLY > 0] if path.codes is not None else path.vertices
+            vertices = np.asarray(path.vertices)
+            if path.codes is not None:
+                vertices = vertices[np.asarray(path.codes) % Path.CLOSEPOLY > 0]
             if not len(vertices):
                 return ""
             off = reach + gc.get_linewidth() / 2.0
@@ -339,7 +347,7 @@ class SvgRenderer(RendererBase):
         place = " ".join(f'{key}="{one}"' for key, one in zip(("x", "y", "width", "height"), numbers, strict=True))
         return f' clip-path="url(#{self._define("c", "clipPath", f"><rect {place}/></clipPath>")})"'
 
-    def _write_style(self, gc: Any, face: Any) -> str:
+    def _write_style(self, gc: GraphicsContextBase, face: Any) -> str:
         """Return attributes of fill and stroke; nothing where there are neither."""
         forced = gc.get_forced_alpha()
         face = None if face is not None and len(face) == 4 and face[3] == 0 and not forced else face
@@ -357,7 +365,7 @@ class SvgRenderer(RendererBase):
             style += "" if forced else _write_share("stroke-opacity", colour[3])
             offset, dashes = gc.get_dashes()
             if dashes is not None:
-                style += f' stroke-dasharray="{" ".join(write_number(one, SHAPES) for one in dashes)}"'
+                style += f' stroke-dasharray="{" ".join(write_number(one, SHAPES) for one in np.asarray(dashes))}"'
                 style += f' stroke-dashoffset="{write_number(offset, SHAPES)}"' if offset else ""
             if gc.get_joinstyle() != "round":
                 style += f' stroke-linejoin="{gc.get_joinstyle()}"'
@@ -365,7 +373,7 @@ class SvgRenderer(RendererBase):
                 style += f' stroke-linecap="{CAPS[gc.get_capstyle()]}"'
         return style + (_write_share("opacity", gc.get_alpha()) if forced and style else "")
 
-    def _hatch(self, gc: Any, face: Any) -> str:
+    def _hatch(self, gc: GraphicsContextBase, face: Any) -> str:
         """Return the id of a pattern, as large as an inch."""
         across = Affine2D().scale(POINTS, -POINTS).translate(0.0, POINTS)
         data = write_path(gc.get_hatch_path().cleaned(across, curves=True))
@@ -443,15 +451,15 @@ def _write_units(units: int, decimals: int) -> str:
     return f"{sign}{whole or '' if behind else whole}{'.' if behind else ''}{behind}"
 
 
-def write_path(path: Any, decimals: int = COORDINATES) -> str:
+def write_path(path: Path, decimals: int = COORDINATES) -> str:
     """Return a cleaned path's data: relative, rounded so that errors do not add up; nothing of one without a line."""
-    vertices = np.rint(path.vertices * 10.0**decimals + OFF_HALVES).astype(np.int64).tolist()
+    vertices = np.rint(np.asarray(path.vertices) * 10.0**decimals + OFF_HALVES).astype(np.int64).tolist()
     steps: list[tuple[str, list[int]]] = []
     x = y = 0  # where the pen is
     start = waiting = [0, 0]  # of this part; where it begins, as long as nothing of it is drawn
     is_begun = is_dot = False
     controls: list[list[int]] = []  # points of a curve up to its end
-    for code, point in zip(path.codes.tolist(), vertices, strict=True):
+    for code, point in zip(np.asarray(path.codes).tolist(), vertices, strict=True):
         if code in (Path.MOVETO, Path.STOP):
             if is_dot and not is_begun:  # a cap alone
                 steps += [_move(waiting, x, y, steps), ("h", [0])]

@@ -23,7 +23,7 @@ NANOMETRE = 1e-6  # mm
 SOURCE = Source("made_up", "all", "Simulated, never measured")
 FRAMES = ("x", "y", "z", "rx", "ry", "offset", "tool", "tool_r")
 UR10 = EXPERIMENTS / "ur10" / "machine.toml"
-WRITTEN = re.compile(r"The file carries (\S+) of (\S+) mm by which the tool is off nominal, rms over the workspace(.*)")
+WRITTEN = re.compile(r"The file carries (\S+) of (\S+) mm of the tool's deviation, rms over the workspace(.*)")
 
 
 def make_calibrated(path, rng, symbols=FRAMES, size=1.0):

@@ -212,7 +212,8 @@ def read_hal(text):
 
 @pytest.mark.parametrize("alike", [True, False])
 def test_linuxcnc_comes_to_the_same_places(printer, rng, tmp_path, alike):
-    one = BareMachine(FunctionModel("one", printer.model.machine.machine), printer.theta, {})
+    machine = printer.model.machine.machine
+    one = BareMachine(machine, FunctionModel("one", machine), printer.theta, {})
     theta = printer.theta.copy()
     if alike:
         theta = one.change(l=one.take("l").mean(), angle=np.radians(DIRECTIONS))

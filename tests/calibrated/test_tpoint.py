@@ -87,7 +87,7 @@ def test_a_model_file_points_as_the_mount_does(tmp_path, rng, name):
     read = np.stack([np.pi - seen[0] if name == "south" else seen[0], seen[1]], axis=-1)
     np.testing.assert_allclose(read, encoders, atol=1e-9)
     assert all(line.startswith("! ") for line in rest)
-    assert any("Standard errors hold no correlations" in line for line in rest)
+    assert any("Standard errors omit correlations" in line for line in rest)
 
 
 def test_what_the_format_cannot_hold_is_stated_in_numbers(tmp_path, rng):

@@ -110,11 +110,11 @@ FAULTS: dict[str, tuple[Callable[[Path], Path], Callable[[Path], None], str]] = 
     "requirement: a platform's force": (
         write_hexapod,
         put("[requirements]\nfx = 1.0"),
-        "found 'fx', expected some of x",
+        "found 'fx', expected one of x",
     ),
     "requirement: nothing": (write_hexapod, put("[requirements]\nposition = 0.0"), "requirements.position: found 0.0"),
-    "gain: a cell": (write_cell, gain, "parameters: found 'gain', expected some of k_x"),
-    "gain: a function": (write_delta, gain, "parameters: found 'gain', expected some of x"),
+    "gain: a cell": (write_cell, gain, "parameters: found 'gain', expected one of k_x"),
+    "gain: a function": (write_delta, gain, "parameters: found 'gain', expected one of x"),
     "gain: of seven": (
         write_hexapod,
         lambda study: edit(study, "[parameters]", f"[parameters]\ngain = {{ prior = 'normal', sd = {[0.01] * 7} }}"),

@@ -18,7 +18,7 @@ GIVEN = ["mass_kg", "at_x_mm", "at_y_mm"]
 def test_requirements_are_refused_by_a_line_that_ends(case, call):
     code, _, complaint = call("next-pose", case("cells_under_masses") / "study.toml", "--require", "u=0.1")
     assert code == 2
-    assert complaint.strip().endswith("requirements: found 'u', expected some of none: no tool")
+    assert complaint.strip().endswith("requirements: found 'u', expected one of none: no tool")
 
 
 @pytest.mark.runs

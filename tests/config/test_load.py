@@ -322,7 +322,7 @@ def data_study(tmp_path) -> Path:
             "study.toml",
             'free = ["l"]',
             'free = ["l", "kappa"]',
-            "'six_pus/none': free: found 'kappa', expected some of",
+            "'six_pus/none': free: found 'kappa', expected one of",
         ),
         ("study.toml", 'model = "six_pus"', 'model = "six_puss"', "model: found 'six_puss', did you mean 'six_pus'?"),
         ("study.toml", 'deformation = "none"', 'deformation = "non"', "found 'non', did you mean 'none'?"),

@@ -38,7 +38,7 @@ from bayescal.density.calibration.measurements import Measurements
 from bayescal.errors import InputError
 from bayescal.files.csv_tables import format_table, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics, solve_inverse_kinematics
-from bayescal.machines.readings import POSE, Given, InstrumentedMachine, Legs, Tracker
+from bayescal.machines.readings import POSE, Given, Legs, Tracker
 from bayescal.machines.readings.newton import share_contacts, touch
 from bayescal.machines.readings.placed import READ_BY
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
@@ -273,8 +273,7 @@ def is_read_by_pose(calibrated: CalibratedMachine) -> bool:
 
 def list_trackers(calibrated: CalibratedMachine) -> list[str]:
     """Return the names of the instruments that measured the tool in frames of their own."""
-    beside = calibrated.model.instruments if isinstance(calibrated.model, InstrumentedMachine) else ()
-    return [one.name for one in beside if isinstance(one.machine, Tracker)]
+    return [one.name for one in calibrated.model.beside if isinstance(one.machine, Tracker)]
 
 
 def build_covariance(position_um: float, orientation_arcsec: float | None) -> Array:

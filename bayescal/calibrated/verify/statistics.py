@@ -72,7 +72,7 @@ def choose_suspects(calibrated: CalibratedMachine, wanted: Sequence[str]) -> Tes
     wanted = wanted or [symbol for symbol in model.shifting if symbol in layout.index]
     for name in wanted:
         if name not in layout.symbols and name not in layout.names:
-            raise InputError(f"verify: found {name!r}, expected some of {', '.join(layout.symbols)}, or a name")
+            raise InputError(f"verify: found {name!r}, expected one of {', '.join(layout.symbols)}, or a name")
     names = [n for k, n in enumerate(layout.names) if n in wanted or n.partition("[")[0] in wanted]
     names = names or list(calibrated.names)
     if not names:

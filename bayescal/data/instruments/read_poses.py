@@ -316,7 +316,7 @@ def _read_values(table: CsvTable) -> Array:
     position = np.full((len(table.rows), len(POSITION)), np.nan)
     there = [k for k, name in enumerate(POSITION) if name in table.columns]
     if not there and not any(name in table.columns for name in (*VECTOR, *OTHER_COLUMNS)):
-        raise InputError(f"{table.path}: found no coordinate, expected some of {', '.join(VALUES)}")
+        raise InputError(f"{table.path}: found no coordinate, expected one of {', '.join(VALUES)}")
     if there:
         position[:, there] = table.numbers([POSITION[k] for k in there], gaps=True)
     values = np.concatenate([position, read_rotation_vectors(table)], axis=1)

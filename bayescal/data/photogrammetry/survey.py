@@ -13,7 +13,7 @@ import numpy as np
 
 from bayescal.data.actuators import Columns, check_calibration, read_actuators
 from bayescal.data.photogrammetry.rigid_fit import is_collinear
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.files.csv_tables import CsvTable, read_table
 from bayescal.numerics.geometry import Array
 
@@ -78,7 +78,7 @@ def read_reference(path: Path, n_legs: int) -> dict[str, tuple[list[str], np.nda
     legs, points = table.numbers(["leg"])[:, 0], table.numbers(COORDINATES)
     for row, (body, leg) in enumerate(zip(bodies, legs, strict=True)):
         if body not in BODIES:
-            raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
+            raise InputError(say_unknown(f"{table.where(row)}: body", body, BODIES))
         if leg not in range(n_legs + 1) or (leg and body == "base"):
             allowed = f"0 to {n_legs}" if body == "platform" else "0 on the base"
             raise InputError(f"{table.where(row)}: {table.name('leg')}: found {leg:g}, expected {allowed}")
@@ -112,7 +112,7 @@ def _read_targets(
         if pose not in pose_index:
             raise InputError(f"{table.where(row)}: pose {pose!r}: not in {actuators}")
         if body not in BODIES:
-            raise InputError(f"{table.where(row)}: body: found {body!r}, expected one of {', '.join(BODIES)}")
+            raise InputError(say_unknown(f"{table.where(row)}: body", body, BODIES))
         if target not in target_index[body]:
             raise InputError(f"{table.where(row)}: {body} target {target!r}: not in {reference}")
         measured[body][pose_index[pose], target_index[body][target]] = points[row]

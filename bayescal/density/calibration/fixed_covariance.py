@@ -29,7 +29,7 @@ import numpy as np
 
 from bayescal.density.calibration.model_error import GPTerm, LowRankGPTerm, RandomTerm
 from bayescal.density.calibration.poses import MANY_ROWS
-from bayescal.density.calibration.terms import CorrelatedNoise, ErrorModel
+from bayescal.density.calibration.terms import ErrorModel
 from bayescal.density.components import MOST_ROWS, LinearRows, assemble, batches
 from bayescal.density.directions import list_directions
 from bayescal.density.elimination import Whitening
@@ -265,7 +265,7 @@ class FixedCovarianceRows:
         for part in batches(len(theta), rows.shape[1]):
             own, amplitudes = self._blocks(likelihood, errors, zeta[part]), errors.amplitudes(zeta[part])
             weights, each = errors.weights(zeta[part]), np.split(drawn[part], ends[:-1], axis=1)  # views of ``drawn``
-            is_known = [isinstance(term, CorrelatedNoise) for term in errors.common]
+            is_known = [term.is_known for term in errors.common]
             left, known = rows[part].copy(), list[Array]()
             if errors.known:  # noise that they depend on is drawn with them
                 apart = self._assemble(own, weights * is_known)
@@ -304,7 +304,7 @@ class FixedCovarianceRows:
         """
         factor, found = np.linalg.cholesky(covariance), list[Array]()
         for term, shown, own in zip(errors.common, self.shown, each, strict=True):
-            if isinstance(term, CorrelatedNoise) and term.sign > 0.0:
+            if term.is_known and term.sign > 0.0:
                 turned = np.linalg.solve(factor, np.broadcast_to(shown, (len(factor), *shown.shape)))
                 back = np.swapaxes(turned, -1, -2)
                 rest = np.linalg.cholesky(np.eye(turned.shape[-1]) - back @ turned)

@@ -31,7 +31,7 @@ from bayescal.density.components import LinearRows
 from bayescal.density.elimination import Whitening, find_step, invert
 from bayescal.density.linear_gaussian import whiten
 from bayescal.density.low_rank import factor_by_columns
-from bayescal.machines.readings.base import BoundModel, BoundReadings
+from bayescal.machines.readings.base import BoundReadings
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.scratch import Scratch
 
@@ -125,7 +125,7 @@ class IndependentRowsLikelihood:
         if errors.has_factors or not data.present.all():
             errors = errors.without(errors.noisy)
         bound = likelihood.model.bind(theta, data.values, likelihood.start, data.given)
-        if bound is None or (isinstance(bound, BoundModel) and not turns):
+        if bound is None or not (bound.is_own or turns):
             return None
         white = likelihood.whiten(likelihood.sd[None], np.zeros((1, 1, n)))
         at = likelihood.stand(theta[None], white)
@@ -178,7 +178,7 @@ class IndependentRowsLikelihood:
     @property
     def is_own(self) -> bool:
         """Whether the machine itself binds its readings, in a form of its own."""
-        return not isinstance(self.bound, BoundModel)
+        return self.bound.is_own
 
     @property
     def followed(self) -> IndependentRowsLikelihood:

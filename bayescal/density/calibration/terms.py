@@ -89,7 +89,7 @@ class TermRows:
         for name in names:
             if not any(name in some for some in known):
                 all_names = ", ".join(dict.fromkeys(filter(None, (n for some in known for n in some[1:]))))
-                raise InputError(f"found channel {name!r}, expected some of {all_names}")
+                raise InputError(f"found channel {name!r}, expected one of {all_names}")
         return np.flatnonzero([any(name in some for name in names) for some in known])
 
 
@@ -124,6 +124,8 @@ class ErrorTerm(ABC):
     """Of what its columns add to the covariance of all rows."""
     of_model: ClassVar[bool] = False
     """Whether its columns are errors of the machine's model, and show in the readings as its `error_gain` says."""
+    is_known: ClassVar[bool] = False
+    """Whether nothing of its columns is unknown but their coefficients."""
     names: tuple[str, ...]
     units: tuple[str, ...]
     priors: tuple[Prior, ...]
@@ -276,6 +278,7 @@ class CorrelatedNoise(ErrorTerm):
     ``design`` (M, K, N): columns at all rows that were read, held-back ones too.
     """
 
+    is_known: ClassVar[bool] = True
     design: Array
     sign: float = 1.0  # type: ignore[misc]  # of its own
     names: tuple[str, ...] = ()
@@ -402,7 +405,11 @@ class ErrorModel:
 
     def parts_of[T: ErrorTerm](self, kind: type[T], zeta: Array) -> list[tuple[T, Array]]:
         """Return the same with their coordinates, as `of` does."""
-        return [(one, own) for one, own in self.of(zeta) if isinstance(one, kind)]
+        return self.select_of(kind, (own for _, own in self.of(zeta)))
+
+    def select_of[T: ErrorTerm, X](self, kind: type[T], each: Iterable[X]) -> list[tuple[T, X]]:
+        """Return the terms of a class, each with its own of what is listed term by term."""
+        return [(one, own) for one, own in zip(self.terms, each, strict=True) if isinstance(one, kind)]
 
     def change[T: ErrorTerm](self, kind: type[T], to: Callable[[T], ErrorTerm]) -> Self:
         """Return the same with other terms in the places of those of a class."""
@@ -614,7 +621,7 @@ def check_term(term: ErrorTerm, data: Measurements) -> None:
     }
     supplied = [pair for pair in zip(leading, (factor, variance, columns), strict=True) if pair[1] is not None]
     if len(supplied) != 1:
-        raise InputError("expected one of factor, variance and columns of a term")
+        raise InputError("expected factor, variance or columns")
     for what, one in supplied:
         assert one is not None
         expected = leading[what]

@@ -86,7 +86,7 @@ def read_design(config: AuditConfig, folder: Path) -> AuditDesign:
             plans[one.name] = build_plan(config, one, planned, required, own)
             check_changes(plans[one.name])
             if config.selection is not None and not plans[one.name].reads_anywhere:
-                raise InputError("selection: found instruments that read at some poses alone, expected all at each")
+                raise InputError("selection: found instruments at some poses alone, expected all at each")
     check_profiles(list(dict.fromkeys(name for one in plans.values() for name in one.names)), config.profiles)
     check_reach(next(iter(plans.values())))
     if (asked := config.sensor_selection) is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -52,7 +51,7 @@ class Audit(MachineExperiment[AuditConfig, AuditDesign]):
         """Return machine and plan, read and checked."""
         return read_design(config, folder)
 
-    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+    def list_file_faults(self, content: Mapping[str, object], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 

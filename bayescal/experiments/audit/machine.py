@@ -21,7 +21,7 @@ from bayescal.experiments.shared.readings.errors import build_terms_of_model, fi
 from bayescal.experiments.shared.readings.inputs import Variant
 from bayescal.experiments.shared.readings.noise import noise_of_channels
 from bayescal.experiments.shared.readings.priors import check_optional, choose_priors
-from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig
+from bayescal.experiments.shared.readings.schema import FreeConfig
 from bayescal.experiments.shared.readings.workspace import (
     Workspace,
     check_given,
@@ -169,7 +169,7 @@ class PlannedMachine:
 
     def _add_noise(self, data: Measurements, chosen: np.ndarray, read: Array) -> Measurements:
         """Return readings of the chosen channels with their noise, all channels reading (P, K)."""
-        sections = {k: v for k, v in self.config.sensors.items() if isinstance(v, ChannelConfig)}
+        sections, _ = self.config.split_sensors()
         names = [self.model.names[k] for k in chosen]
         sd = np.tile(noise_of_channels(sections, self.model)[chosen], (data.n_poses, 1))
         correlation = np.tile(np.eye(len(names)), (data.n_poses, 1, 1))

@@ -128,7 +128,7 @@ class MeasuredMachine:
         )
         values = model.read(variant.plain().sampling.start, planned.pose, planned.given)
         if not np.isfinite(values).all():
-            raise InputError("poses: found one that the machine cannot reach, expected reachable poses")
+            raise InputError("poses: found one out of reach, expected reachable poses")
         if planned.rows is not None:  # what was not read, is not
             values = np.where(data.present[planned.rows], values, np.nan)
         if planned.read is not None:

@@ -425,7 +425,7 @@ class DesignVariant:
                     break
                 y[k], redrawn = rng.standard_normal(len(self.names)), redrawn + 1
             else:
-                raise InputError("tolerances: found machines that miss planned poses, expected smaller ones")
+                raise InputError("tolerances: planned poses out of reach, expected smaller ones")
         white, _ = posterior.likelihood.explain(*posterior.at(self.expected[None]))
         noise = white.repeat(n).colour(np.asarray(rng.standard_normal(values.shape)))
         values[:, ~data.present] = np.nan
@@ -460,7 +460,7 @@ class DesignVariant:
             if np.isfinite(rows).all():
                 total, count = total + inform(self.posterior, at, rows).covariance, count + 1
         if not count:
-            raise InputError("tolerances: found no machine that reaches the planned poses, expected smaller ones")
+            raise InputError("tolerances: planned poses always out of reach, expected smaller ones")
         return total / count
 
 

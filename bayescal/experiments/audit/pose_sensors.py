@@ -14,7 +14,6 @@ import numpy as np
 from bayescal.errors import InputError
 from bayescal.experiments.audit.schema import AuditConfig
 from bayescal.experiments.shared.design import build_sensor
-from bayescal.experiments.shared.readings.schema import ChannelConfig
 from bayescal.machines.readings import PoseInstrument, ReadingModel
 from bayescal.machines.sensors import Sensor
 from bayescal.numerics.geometry import DEGREES_OF_FREEDOM, Array, matrix_from_rotation_vector
@@ -51,7 +50,7 @@ class PlannedPoseSensor:
 
 def read_pose_sensors(config: AuditConfig, folder: Path) -> dict[str, Sensor]:
     """Return the sensors of a config that have a kind, by name."""
-    sections = {name: one for name, one in config.sensors.items() if not isinstance(one, ChannelConfig)}
+    _, sections = config.split_sensors()
     return {name: build_sensor(name, one, folder) for name, one in sections.items()}
 
 

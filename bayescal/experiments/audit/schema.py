@@ -25,6 +25,7 @@ from bayescal.config.sections import (
     check_once,
 )
 from bayescal.density.schema import ALONE, INDEPENDENT, ModelErrorConfig, PriorConfig, TermName
+from bayescal.errors import say_reversed, say_twice
 from bayescal.experiments.shared.readings.schema import ChannelConfig, FreeConfig, InstrumentConfig, NextReadingsConfig
 from bayescal.experiments.shared.schema import (
     AccuracyFrame,
@@ -52,6 +53,8 @@ def _tag_sensor(section: object) -> str:
     kind = section.get("kind") if isinstance(section, dict) else getattr(section, "kind", None)
     return kind if kind in ("pose", "targets") else OWN
 
+
+type ToolSensorConfig = PoseSensorConfig | TargetSensorConfig | OwnSensorConfig
 
 type SensorConfig = Annotated[
     Annotated[PoseSensorConfig, Tag("pose")]
@@ -98,7 +101,7 @@ class PlannedPosesConfig(Section):
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
         if self.sampling == "file" and (files != 1 or self.count is not None):
-            raise ValueError("expected one of count, file and configurations")
+            raise ValueError("expected count, file or configurations")
         if self.sampling != "file" and (files or self.count is None):
             raise ValueError(f"expected count, no file, for sampling {self.sampling!r}")
         if self.unit_mm != 1.0 and self.configurations is None:
@@ -212,7 +215,7 @@ class ExpectedErrorConfig(ModelErrorConfig):
     @model_validator(mode="after")
     def _check_expected(self) -> Self:
         if isinstance(self.expected_um, dict) and (strange := set(self.expected_um) - set(self.terms)):
-            raise ValueError(f"expected_um: found {sorted(strange)}, expected some of {self.terms}")
+            raise ValueError(f"expected_um: found {sorted(strange)}, expected one of {self.terms}")
         self.check_floors(self.terms)
         return self
 
@@ -333,6 +336,16 @@ class AuditConfig(ExperimentConfig):
     sensor_selection: SensorChoiceConfig | None = None
     """Sensors to choose."""
 
+    def split_sensors(self) -> tuple[dict[str, ChannelConfig], dict[str, ToolSensorConfig]]:
+        """Return the noise of channels, and the sensors that see poses, by name."""
+        channels, others = dict[str, ChannelConfig](), dict[str, ToolSensorConfig]()
+        for name, one in self.sensors.items():
+            if isinstance(one, ChannelConfig):
+                channels[name] = one
+            else:
+                others[name] = one
+        return channels, others
+
     @model_validator(mode="before")
     @classmethod
     def _take_others(cls, content: object) -> object:
@@ -367,10 +380,10 @@ class AuditConfig(ExperimentConfig):
         names = [one.name for one in self.variants]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"variants: found {name!r} twice, expected unique names")
+                raise ValueError(say_twice("variants", name))
         for name, (low, high) in self.workspace.items() if isinstance(self.workspace, dict) else ():
             if not low < high:
-                raise ValueError(f"workspace.{name}: found {low:g} to {high:g}, expected the smaller first")
+                raise ValueError(say_reversed(f"workspace.{name}", low, high))
         return self
 
     @model_validator(mode="after")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypedDict
 
 import numpy as np
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.audit.rows import (
     ERROR,
     NOISE,
@@ -85,7 +85,7 @@ def list_choices(
             raise InputError(f"costs: found none of {name}, expected one per candidate or kind")
     for name in costs:
         if name not in named:
-            raise InputError(f"costs: found {name!r}, expected some of {', '.join(dict.fromkeys(named))}")
+            raise InputError(say_unknown("costs", name, dict.fromkeys(named)))
     return tuple(replace(one, cost=costs[name]) for one, name in zip(found, named, strict=True))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayescal.calibrated.tables import list_columns, read_given, read_named, read_quantities
 from bayescal.data.actuators import read_moves
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_reversed, say_unknown
 from bayescal.experiments.next_pose.schema import NextCandidatesConfig, NextPoseConfig
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.runner.memory import check_arrays
@@ -244,10 +244,10 @@ def _read_bounds(config: NextPoseConfig, measured: MeasuredReadings) -> tuple[Ar
         )
     for name, bounds in (section or {}).items():
         if name not in names:
-            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
+            raise InputError(say_unknown("workspace", name, names))
         k = names.index(name)
         if not bounds[0] < bounds[1]:
-            raise InputError(f"workspace.{name}: found {bounds[0]:g} to {bounds[1]:g}, expected the smaller first")
+            raise InputError(say_reversed(f"workspace.{name}", bounds[0], bounds[1]))
         low[k], high[k] = (units.factor(coordinates[k].unit) * one for one in bounds)
     return low, high
 
@@ -262,7 +262,7 @@ def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) ->
         found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
         if len(found) >= n:
             return found[:n]
-    raise InputError("workspace: found few reachable poses, expected a smaller workspace")
+    raise InputError("workspace: few poses in reach, expected a smaller one")
 
 
 def _list_candidates(

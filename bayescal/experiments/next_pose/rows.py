@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bayescal.experiments.shared.rows import N_POSES, P_ALL_MET, REQUIREMENT, VARIANT
 from bayescal.files.rows import TableRow, column
 
 OVER_LIMIT = "_over_limit"
@@ -26,12 +27,12 @@ class NextPoseRow(TableRow, table="next_poses"):
 class RequirementForecastRow(TableRow, table="requirements"):
     """A requirement now, after the next pose and with all parameters known; errors are those that no pose exceeds."""
 
-    requirement: str = column("name of the requirement")
+    requirement: str = column(REQUIREMENT)
     unit: str = column("unit of the errors")
     limit: float = column("largest error allowed")
-    error: float = column("error that no pose exceeds with the stated probability")
+    error: float = column("error bound at the stated probability")
     error_after_next: float = column("expected error after the next pose")
-    error_parameters_known: float = column("error with all parameters known")
+    error_parameters_known: float = column("error, all parameters known")
     probability: float = column("probability that no pose exceeds the limit")
     probability_after_next: float = column("expected probability after the next pose")
 
@@ -40,11 +41,11 @@ class RequirementForecastRow(TableRow, table="requirements"):
 class PoseHistoryRow(TableRow, table="history"):
     """A number of poses, with a column per requirement: the error that no pose exceeds over the limit."""
 
-    n_poses: int = column("number of poses")
-    measured_or_planned: Literal["measured", "planned"] = column("whether all of them have been measured")
-    probability: float = column("probability that all requirements are met")
+    n_poses: int = column(N_POSES)
+    measured_or_planned: Literal["measured", "planned"] = column("whether all are measured")
+    probability: float = column(P_ALL_MET)
     standard_error: float = column("standard error of the probability")
-    approximate: bool = column("whether importance weights of the draws have heavy tails")
+    approximate: bool = column("whether importance weights are heavy-tailed")
     others: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -52,7 +53,7 @@ class PoseHistoryRow(TableRow, table="history"):
 class ComparedVariantRow(TableRow, table="variants"):
     """A variant and its probability."""
 
-    variant: str = column("name of the variant", show="name")
+    variant: str = column(VARIANT, show="name")
     log_evidence: float = column("log-evidence by Laplace's approximation", "nat", show="fixed 1", title="Log-evidence")
     probability: float = column("posterior probability of the variant", show="percent 1")
 

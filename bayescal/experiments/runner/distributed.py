@@ -25,7 +25,8 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import cloudpickle
 from threadpoolctl import threadpool_limits
@@ -35,6 +36,9 @@ from bayescal.experiments.runner.engine import Engine, Failure, run_guarded, run
 from bayescal.experiments.runner.identity import list_versions
 from bayescal.experiments.runner.interrupts import shield_children
 from bayescal.experiments.runner.records import Record
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
 
 LOCAL = re.compile(r"local:([1-9]\d{0,3})")
 LOOPBACK = "127.0.0.1"
@@ -72,7 +76,7 @@ type Names = tuple[str, ...]
 class Cluster(Engine):
     """The workers of a scheduler."""
 
-    client: Any  # distributed.Client
+    client: Client
     address: str  # as it was asked for
     own: bool  # whether scheduler and workers belong to this run
 
@@ -115,14 +119,14 @@ class Cluster(Engine):
         else:
             yield from ((name, answer) for name in names)
 
-    def _fetch(self, batch: list[Any]) -> list[Answer | Failure]:
+    def _fetch(self, batch: list[Future]) -> list[Answer | Failure]:
         """Return the answers of batches that have ended."""
         try:
             return [pickle.loads(one) for one in self.client.gather(batch)]  # the usual case: one message for all
         except (Exception, CancelledError):  # one of them has none
             return [self._read(future) for future in batch]
 
-    def _read(self, future: Any) -> Answer | Failure:
+    def _read(self, future: Future) -> Answer | Failure:
         """Return the answer of a batch that has ended, or why there is none."""
         from distributed import KilledWorker
 
@@ -147,9 +151,7 @@ class Cluster(Engine):
         if not self.own or now - seen < WORKER_TIMEOUT_S or self.client.status != "running":
             return seen
         if not self.client.nthreads():
-            raise NumericalError(
-                f"all workers of {self.address} were killed, perhaps for want of memory; continue with --resume"
-            )
+            raise NumericalError(f"all workers of {self.address} were killed (out of memory?); continue with --resume")
         return now
 
     def _send[S, T](self, function: Callable[[S, T], object], shared: S) -> object:
@@ -182,7 +184,7 @@ def connect(address: str, quiet: bool = True) -> Iterator[Cluster]:
         yield Cluster(client, address, local is not None)
 
 
-def _import_distributed() -> Any:
+def _import_distributed() -> ModuleType:
     try:
         import dask
 
@@ -197,7 +199,7 @@ def _import_distributed() -> Any:
 
 
 @contextmanager
-def _serve(distributed: Any, workers: int) -> Iterator[Any]:
+def _serve(distributed: ModuleType, workers: int) -> Iterator[Client]:
     """Hold a scheduler and workers of this machine that nobody else can reach."""
     nowhere = f"{LOOPBACK}:0"
     import dask
@@ -217,9 +219,9 @@ def _serve(distributed: Any, workers: int) -> Iterator[Any]:
 
 
 @contextmanager
-def _answer(distributed: Any, address: str) -> Iterator[Any]:
+def _answer(distributed: ModuleType, address: str) -> Iterator[Client]:
     """Hold a connection to a scheduler that runs already."""
-    where: dict[str, Any] = {"address": address}
+    where: dict[str, str] = {"address": address}
     if address.startswith("tls:") and distributed.Security().tls_client_cert is None:
         raise InputError(f"{WANT}: found no certificate for {address}, expected one in dask's configuration")
     if address.endswith(".json"):
@@ -237,7 +239,7 @@ def _answer(distributed: Any, address: str) -> Iterator[Any]:
         yield client
 
 
-def _check_versions(client: Any, address: str) -> None:
+def _check_versions(client: Client, address: str) -> None:
     """Raise InputError where scheduler or workers are of other versions."""
     here = list_all_versions()
     packages = client.get_versions()["scheduler"]["packages"]
@@ -320,14 +322,14 @@ class Feed:
     progress comes back soon and a lost worker costs little.
     """
 
-    client: Any  # distributed.Client
-    work: Callable[[bytes, Any], bytes]  # takes the bytes of a batch's tasks, and the parcel
+    client: Client
+    work: Callable[[bytes, Parcel], bytes]  # takes the bytes of a batch's tasks, and the parcel
     prefix: str  # of the batches' keys
-    parcel: Any  # distributed.Future of what all tasks need
-    tasks: Mapping[str, Any]
+    parcel: Future  # of what all tasks need
+    tasks: Mapping[str, object]
     waiting: deque[str] = field(init=False)
     alone: deque[str] = field(init=False, default_factory=deque)  # tasks of a lost batch, each for one of its own
-    sent: dict[str, tuple[Any, Names]] = field(init=False, default_factory=dict)
+    sent: dict[str, tuple[Future, Names]] = field(init=False, default_factory=dict)
     seconds: float | None = field(init=False, default=None)
     _n_sent: int = field(init=False, default=0)
     _n_threads: int = field(init=False, default=0)
@@ -342,7 +344,7 @@ class Feed:
         """Whether nothing waits and nothing is under way."""
         return not (self.waiting or self.alone or self.sent)
 
-    def fill(self) -> list[Any]:
+    def fill(self) -> list[Future]:
         """Send batches as long as workers could run short of them; return their futures."""
         room = AHEAD * self._count_threads() - len(self.sent)
         batches = [self._take(room - k) for k in range(room) if self.waiting or self.alone]
@@ -353,7 +355,7 @@ class Feed:
         self._n_sent += len(batches)
         packed = [cloudpickle.dumps([self.tasks[name] for name in names]) for names in batches]
         with unwarned():
-            futures: list[Any] = self.client.map(self.work, packed, key=keys, parcel=self.parcel, pure=False)
+            futures: list[Future] = self.client.map(self.work, packed, key=keys, parcel=self.parcel, pure=False)
         self.sent.update({f.key: (f, names) for f, names in zip(futures, batches, strict=True)})
         return futures
 

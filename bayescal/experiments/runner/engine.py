@@ -78,7 +78,7 @@ def _name_kill[R](outcomes: Iterator[R]) -> Iterator[R]:
     try:
         yield from outcomes
     except TerminatedWorkerError as error:
-        said = "a worker was killed, perhaps for want of memory; go on with --resume"
+        said = "a worker was killed (out of memory?); continue with --resume"
         raise NumericalError(said) from error
 
 
@@ -118,7 +118,7 @@ def import_all(modules: Iterable[str]) -> None:
             import_module(module)
 
 
-def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> Generator[tuple[str, Any]]:
+def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[object, ...]]]) -> Generator[tuple[str, Any]]:
     """Yield names and what their functions make of their arguments, as they end; no worker outlives this process."""
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", inner_max_num_threads=1)
     with shield_children():
@@ -129,7 +129,7 @@ def _call_in_workers(workers: int, calls: Sequence[tuple[str, tuple[Any, ...]]])
     return found
 
 
-def _close_quietly(calls: Generator[Any]) -> Generator[Any]:
+def _close_quietly(calls: Generator[object]) -> Generator[Any]:
     """Yield nothing, then what calls give; those that nobody wants any more are cancelled without a warning."""
     try:
         yield None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import ValidationError
 
@@ -80,7 +80,7 @@ class Experiment[C: ExperimentConfig, I](ABC):
     def read(self, config: C, folder: Path) -> I:
         """Return what the experiment computes with; InputError for every fault of the config or its files."""
 
-    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+    def list_file_faults(self, content: Mapping[str, object], folder: Path) -> list[str]:
         """Return what is wrong with each file by itself that a config names, whose content may itself be at fault.
 
         A line each, those that `read` tells among them; by default none is looked at.

@@ -43,7 +43,7 @@ def _write(content: bytes, path: Path) -> None:
     path.write_bytes(content)
 
 
-def find_config(folder: Path, provenance: Mapping[str, Any]) -> Path:
+def find_config(folder: Path, provenance: Mapping[str, object]) -> Path:
     """Return where the config stands that results in a folder keep; InputError for results that keep none."""
     parts = PurePosixPath(str(provenance.get(CONFIG_FILE, ""))).parts
     path = folder.joinpath(*parts)

@@ -9,11 +9,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from bayescal.config.built_in import BUILT_IN
+from bayescal.config.built_in import BUILT_IN, describe_built_in
 from bayescal.config.load import check_section, read_extended
 from bayescal.config.registry import REGISTRIES, find_class, is_own, list_names, list_references, load_class
 from bayescal.config.sections import ExperimentConfig
-from bayescal.errors import InputError, NumericalError
+from bayescal.errors import InputError, NumericalError, say_unknown
 from bayescal.experiments import SCHEMAS, USES
 from bayescal.experiments.runner.experiment import Experiment
 from bayescal.experiments.runner.memory import check_tables
@@ -120,13 +120,13 @@ def list_entries(sort: str) -> list[Entry]:
     """Return all names of a sort, in order; InputError for another sort."""
     what = sort.upper()
     if what not in REGISTRIES:
-        raise InputError(f"list: found {sort!r}, expected one of {', '.join(list_sorts())}")
+        raise InputError(say_unknown("list", sort, list_sorts()))
     return [_describe(what, name) for name in list_names(what)]
 
 
 def _describe(what: str, name: str) -> Entry:
     if name in BUILT_IN[what]:
-        return Entry(name, BUILT_IN[what][name], own=False)
+        return Entry(name, describe_built_in(what, name), own=False)
     try:
         found = load_class(what, name, None)
     except InputError as error:  # of an installed package that is broken: the others are listed all the same
@@ -138,7 +138,7 @@ def _describe(what: str, name: str) -> Entry:
 def describe_schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of a kind's config, for editors; InputError for an unknown kind."""
     if kind not in {*list_names("KINDS"), *USES}:
-        raise InputError(f"schema: found {kind!r}, expected one of {', '.join(list_names('KINDS'))}")
+        raise InputError(say_unknown("schema", kind, list_names("KINDS")))
     if kind in SCHEMAS:
         module, _, name = SCHEMAS[kind].partition(":")
         found: type[ExperimentConfig] = getattr(import_module(module), name)

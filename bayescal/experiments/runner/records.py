@@ -103,7 +103,7 @@ def decode(record: Mapping[str, Array], classes: Iterable[type] = ()) -> Any:
     return _decode(json.loads(bytes(record[TREE].astype(np.uint8))), record, known)
 
 
-def _decode(tree: Any, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
+def _decode(tree: object, record: Mapping[str, Array], known: Mapping[str, type]) -> Any:
     import pandas as pd  # a third of a second, for those who have tables
 
     if isinstance(tree, list):

@@ -251,7 +251,7 @@ def check_file(path: Path) -> tuple[ExperimentConfig, ValidationSummary]:
         raise add_file_faults(error, content, path.parent) from error
 
 
-def add_file_faults(error: InputError, content: Mapping[str, Any], folder: Path) -> SeveralFaultsError:
+def add_file_faults(error: InputError, content: Mapping[str, object], folder: Path) -> SeveralFaultsError:
     """Return what is wrong with a config, and with the files that it names, however far it can itself be read."""
     of_files: list[str] = []
     with suppress(InputError):

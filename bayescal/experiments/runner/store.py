@@ -128,7 +128,7 @@ class Store:
             raise InputError(f"{self.partial}: found no interrupted run; remove it")
         for path in there:
             if not _is_ours(path) and path.name != STAGED:
-                raise InputError(f"{path}: found no file of a run; move it away")
+                raise InputError(f"{path}: no file of a run; move it")
 
     # --- tasks ---------------------------------------------------------------------------------------------------
 
@@ -185,7 +185,7 @@ class Store:
         self.discard()
 
 
-def _is_answered_further(known: Any, wanted: Any) -> bool:
+def _is_answered_further(known: object, wanted: object) -> bool:
     """Whether results are a preliminary answer to a config that asks for more."""
     if not (isinstance(known, dict) and isinstance(wanted, dict) and isinstance(known.get("sampler"), dict)):
         return False

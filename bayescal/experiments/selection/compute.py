@@ -27,7 +27,7 @@ from bayescal.experiments.selection.rows import (
     SelectionTimeRow,
     SelectionTraceRow,
 )
-from bayescal.experiments.selection.schema import RandomChoiceConfig, label_of
+from bayescal.experiments.selection.schema import label_of
 from bayescal.files.csv_tables import format_table
 from bayescal.identifiability.information import information_of_rows
 from bayescal.identifiability.pose_volume import AXES
@@ -97,9 +97,7 @@ def list_tasks(inputs: SelectionInputs) -> list[Task]:
     A design is repeated as often as a selection where calibrations are simulated, each time with other machines.
     """
     tasks = [
-        Task(
-            label_of(choice), criterion, n, repeat, place, isinstance(choice, RandomChoiceConfig) and choice.n_sets > 1
-        )
+        Task(label_of(choice), criterion, n, repeat, place, choice.is_best_of_many)
         for place, choice in enumerate(inputs.config.selections)
         for criterion in map(label_class, choice.criteria)
         for n in choice.n_poses

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bayescal.experiments.shared.rows import CRITERION, N_POSES, SD_OVER_REPEATS, SELECTION, STANDARD_ERROR
 from bayescal.files.rows import TableRow, column
 
 
@@ -13,9 +14,9 @@ from bayescal.files.rows import TableRow, column
 class SelectionKeyRow(TableRow):
     """Columns that name a selection."""
 
-    label: str = column("label of the selection")
-    criterion: str = column("criterion that is maximised")
-    n_poses: int = column("number of poses")
+    label: str = column(SELECTION)
+    criterion: str = column(CRITERION)
+    n_poses: int = column(N_POSES)
     repeat: int = column("number of the repeat")
 
 
@@ -40,19 +41,19 @@ class SelectionRow(SelectionKeyRow, table="selections"):
     n_iterations: int = column("iterations of the method")
     converged: bool = column("whether the method converged")
     reason: str = column("why it stopped")
-    boundary_fraction: float = column("fraction of poses at the boundary of the domain; NaN of given poses")
+    boundary_fraction: float = column("fraction of poses at the boundary, or NaN")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionSummaryRow(TableRow, table="selection_summary"):
     """All repeats of a selection."""
 
-    label: str = column("label of the selection")
-    criterion: str = column("criterion that is maximised")
-    n_poses: int = column("number of poses")
-    best: float = column("largest criterion of all repeats")
+    label: str = column(SELECTION)
+    criterion: str = column(CRITERION)
+    n_poses: int = column(N_POSES)
+    best: float = column("largest criterion")
     mean: float = column("mean of the criterion")
-    sd: float = column("standard deviation of the criterion; NaN of one repeat")
+    sd: float = column("its standard deviation, or NaN")
     n_repeats: int = column("number of repeats")
 
 
@@ -91,22 +92,22 @@ class SelectionTimeRow(SelectionKeyRow, table="timings"):
 class CalibrationErrorRow(TableRow, table="errors"):
     """Pose errors over the workspace after simulated calibrations with the poses of a selection, rms over machines."""
 
-    name: str = column("name of the way to choose poses")
-    label: str = column("label of the selection")
-    criterion: str = column("criterion that is maximised")
-    n_poses: int = column("number of poses")
+    name: str = column("way to choose poses")
+    label: str = column(SELECTION)
+    criterion: str = column(CRITERION)
+    n_poses: int = column(N_POSES)
     repeat: int = column("number of the repeat")
     predicted_position_um: float = column("predicted position error, first order", "µm")
     simulated_position_um: float = column("simulated position error", "µm")
-    simulated_position_um_se: float = column("its standard error", "µm")
+    simulated_position_um_se: float = column(STANDARD_ERROR, "µm")
     predicted_rotation_arcsec: float = column("predicted rotation error, first order", "arcsec")
     simulated_rotation_arcsec: float = column("simulated rotation error", "arcsec")
-    simulated_rotation_arcsec_se: float = column("its standard error", "arcsec")
-    predicted_over_limits: float = column("predicted error in units of the limits")
-    simulated_over_limits: float = column("simulated error in units of the limits")
-    simulated_over_limits_se: float = column("its standard error")
-    mean_position_um: float = column("mean of the simulated position error", "µm")
-    parameters_rms: float = column("error of the parameters in prior standard deviations, rms")
+    simulated_rotation_arcsec_se: float = column(STANDARD_ERROR, "arcsec")
+    predicted_over_limits: float = column("predicted error / limit")
+    simulated_over_limits: float = column("simulated error / limit")
+    simulated_over_limits_se: float = column(STANDARD_ERROR)
+    mean_position_um: float = column("mean simulated position error", "µm")
+    parameters_rms: float = column("parameter error / prior sd, rms")
     n_machines: int = column("machines whose fit converged")
     n_failed: int = column("machines whose fit failed")
 
@@ -115,26 +116,26 @@ class CalibrationErrorRow(TableRow, table="errors"):
 class CalibrationErrorSummaryRow(TableRow, table="error_summary"):
     """Pose errors of a way to choose poses, mean over repeats."""
 
-    name: str = column("name of the way to choose poses")
-    label: str = column("label of the selection")
-    criterion: str = column("criterion that is maximised")
-    n_poses: int = column("number of poses")
+    name: str = column("way to choose poses")
+    label: str = column(SELECTION)
+    criterion: str = column(CRITERION)
+    n_poses: int = column(N_POSES)
     n_repeats: int = column("number of repeats")
     predicted_position_um: float = column("predicted position error, first order", "µm")
     simulated_position_um: float = column("simulated position error", "µm")
-    simulated_position_um_sd: float = column("its standard deviation over repeats", "µm")
-    simulated_position_um_se: float = column("its standard error", "µm")
+    simulated_position_um_sd: float = column(SD_OVER_REPEATS, "µm")
+    simulated_position_um_se: float = column(STANDARD_ERROR, "µm")
     predicted_rotation_arcsec: float = column("predicted rotation error, first order", "arcsec")
     simulated_rotation_arcsec: float = column("simulated rotation error", "arcsec")
-    simulated_rotation_arcsec_sd: float = column("its standard deviation over repeats", "arcsec")
-    simulated_rotation_arcsec_se: float = column("its standard error", "arcsec")
-    predicted_over_limits: float = column("predicted error in units of the limits")
-    simulated_over_limits: float = column("simulated error in units of the limits")
-    simulated_over_limits_sd: float = column("its standard deviation over repeats")
-    simulated_over_limits_se: float = column("its standard error")
-    mean_position_um: float = column("mean of the simulated position error", "µm")
-    mean_position_um_sd: float = column("its standard deviation over repeats", "µm")
-    parameters_rms: float = column("error of the parameters in prior standard deviations, rms")
+    simulated_rotation_arcsec_sd: float = column(SD_OVER_REPEATS, "arcsec")
+    simulated_rotation_arcsec_se: float = column(STANDARD_ERROR, "arcsec")
+    predicted_over_limits: float = column("predicted error / limit")
+    simulated_over_limits: float = column("simulated error / limit")
+    simulated_over_limits_sd: float = column(SD_OVER_REPEATS)
+    simulated_over_limits_se: float = column(STANDARD_ERROR)
+    mean_position_um: float = column("mean simulated position error", "µm")
+    mean_position_um_sd: float = column(SD_OVER_REPEATS, "µm")
+    parameters_rms: float = column("parameter error / prior sd, rms")
     n_failed: int = column("machines whose fit failed")
 
 

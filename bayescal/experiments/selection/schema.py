@@ -109,6 +109,11 @@ class ChoiceConfig(Section):
     repeats: Annotated[int, Field(ge=1, le=10_000)] = 1
     """How often each is repeated with other random numbers."""
 
+    @property
+    def is_best_of_many(self) -> bool:
+        """Whether it is the best of many random sets."""
+        return False
+
 
 class RandomChoiceConfig(ChoiceConfig):
     """The best of random sets."""
@@ -117,6 +122,11 @@ class RandomChoiceConfig(ChoiceConfig):
     """`"random"`."""
     n_sets: Count = 1
     """Number of random sets, the best of which is taken."""
+
+    @property
+    def is_best_of_many(self) -> bool:
+        """Whether there are several."""
+        return self.n_sets > 1
 
 
 class ExchangeChoiceConfig(ChoiceConfig):

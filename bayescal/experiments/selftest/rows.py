@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from bayescal.experiments.shared.rows import PARAMETER, VARIANT
 from bayescal.files.rows import TableRow, column
 
 
@@ -13,34 +14,34 @@ from bayescal.files.rows import TableRow, column
 class SelftestCheckRow(TableRow, table="checks"):
     """What one check of a variant found."""
 
-    variant: str = column("name of the variant")
+    variant: str = column(VARIANT)
     subject: str = column("what was checked")
-    fault: str = column("kind of the fault; empty without one")
+    fault: str = column("kind of the fault, or empty")
     level: Literal["good", "warning", "bad"] = column("status of the finding")
-    value: float = column("the figure that the finding rests on; empty without one")
-    limit: float = column("what it is compared with; empty without one")
+    value: float = column("its figure, or empty")
+    limit: float = column("what it is compared with, or empty")
     text: str = column("the finding")
-    action: str = column("what to do; empty where nothing is")
+    action: str = column("what to do, or empty")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecoveryRow(TableRow, table="parameters"):
     """How well a parameter is recovered from simulated data."""
 
-    variant: str = column("name of the variant")
+    variant: str = column(VARIANT)
     simulated_from: Literal["prior", "posterior"] = column("distribution of the true parameters")
-    parameter: str = column("name of the parameter")
+    parameter: str = column(PARAMETER)
     is_uniform: bool = column("whether the ranks of the truth are uniform")
     coverage_90: float = column("coverage of 90 % intervals")
-    rms_z: float = column("error of estimates in posterior standard deviations, rms")
+    rms_z: float = column("error of estimates / posterior sd, rms")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RankRow(TableRow, table="ranks"):
     """A simulated data set, with a column per parameter: the rank of the truth among draws, 0 to 1."""
 
-    variant: str = column("name of the variant")
-    data_set: str = column("distribution of the truth, and number of the data set")
+    variant: str = column(VARIANT)
+    data_set: str = column("distribution of the truth, data set")
     others: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -48,19 +49,19 @@ class RankRow(TableRow, table="ranks"):
 class RankBandRow(TableRow, table="bands"):
     """Limits of the distribution function of uniform ranks at a point."""
 
-    variant: str = column("name of the variant")
+    variant: str = column(VARIANT)
     simulated_from: Literal["prior", "posterior"] = column("distribution of the true parameters")
     rank: float = column("rank, 0 to 1")
-    low: float = column("lower limit of the fraction of ranks below")
-    high: float = column("upper limit of the fraction of ranks below")
+    low: float = column("lower limit of that fraction")
+    high: float = column("upper limit of that fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DataSetTimeRow(TableRow, table="timings"):
     """The time of a simulated data set."""
 
-    variant: str = column("name of the variant")
-    data_set: str = column("distribution of the truth, and number of the data set")
+    variant: str = column(VARIANT)
+    data_set: str = column("distribution of the truth, data set")
     wall_seconds: float = column("wall time", "s")
 
 

@@ -15,7 +15,7 @@ from bayescal.density.calibration.model_error import GPTerm
 from bayescal.density.pose_kernels import KernelInput
 from bayescal.density.priors import NormalPrior
 from bayescal.density.sessions import DriftModel, Part, ReadingRows, SessionModel, ThermalExpansion, walk_loadings
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_unknown
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.sessions.schema import SessionConfig, SessionsConfig, ThermalConfig
 from bayescal.experiments.shared.measured import MeasuredReadings, check_measures, choose_variant, measure_variants
@@ -149,7 +149,7 @@ def _build_drift(config: SessionsConfig, first: MeasuredReadings) -> DriftModel:
     index, units, scales = [], [], []
     for symbol in drift.symbols:
         if symbol not in free:
-            raise InputError(f"drift.symbols: found {symbol!r}, expected one of {', '.join(free)}")
+            raise InputError(say_unknown("drift.symbols", symbol, free))
         unit = layout.block(symbol).unit
         scale = {"mm": drift.scale_um, "rad": drift.scale_arcsec}.get(unit)
         if unit not in UNITS:

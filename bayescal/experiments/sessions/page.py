@@ -100,11 +100,6 @@ def _read_motions(results: Results) -> tuple[str, list[MotionRow]]:
     return ("leg", legs) if legs else ("channel", [*ChannelMotionRow.read(results.table("channels"))])
 
 
-def _name(row: MotionRow) -> str:
-    """Return which leg or channel moved."""
-    return str(row.leg) if isinstance(row, LegMotionRow) else row.channel
-
-
 def state_headline(results: Results) -> str:
     """Return what to do, whether anything moved, and what."""
     summary, scales = results.summary, DriftScaleRow.read(results.table("scales"))
@@ -136,7 +131,7 @@ def _list_key_figures(results: Results, walk: bool) -> list[KeyFigure]:
         largest = max(known, key=lambda one: abs(one.mean))
         value, unit = format_estimate(largest.mean, largest.sd, sign=True), largest.unit or MICROMETRES
         level = "warning" if largest.p_exceeds_limit > 0.5 else "plain"
-        found.append(KeyFigure(f"Largest motion: {what} {_name(largest)}", value, unit, level))
+        found.append(KeyFigure(f"Largest motion: {what} {largest.moved}", value, unit, level))
     k = _find_worst_k(results)
     found.append(KeyFigure("Largest Pareto k", format_fixed(k, 2), "", "good" if k <= PARETO_K_LIMIT else "bad"))
     return found
@@ -160,10 +155,10 @@ def _list_statements(results: Results, walk: bool) -> list[Statement]:
         largest = max(known, key=lambda one: abs(one.mean))
         where = f"from {largest.since} to {largest.session}" if walk else f"of {largest.session}"
         unit = largest.unit or MICROMETRES
-        text = f"{capitalise(what)} {_name(largest)} {where}: {format_estimate(largest.mean, largest.sd, sign=True)} "
+        text = f"{capitalise(what)} {largest.moved} {where}: {format_estimate(largest.mean, largest.sd, sign=True)} "
         text += f"{unit}; P(beyond {_name_shift(summary, unit)}) = {format_percent(largest.p_exceeds_limit, 1)}."
         found.append(Statement(text, "plain", "Largest motion", value=largest.mean, unit=unit))
-    few = [_name(one) for one in last if one not in known]
+    few = [one.moved for one in last if one not in known]
     if few:
         text = f"Not determined: {what}{'s' * (len(few) > 1)} {name_some(few)}."
         found.append(Statement(text, "plain" if known else "warning", "Motion", value=len(few), limit=0.0))
@@ -212,7 +207,7 @@ def _tabulate_motions(results: Results, walk: bool) -> Table:
         sure = sure if one.interval_reduction >= CLEAR_REDUCTION else Cell("not determined")
         moved = format_estimate(one.mean, one.sd, sign=True)
         own = [] if by_leg else [one.unit or MICROMETRES]
-        rows.append([one.since, one.session, _name(one), moved, interval, *own, sure])
+        rows.append([one.since, one.session, one.moved, moved, interval, *own, sure])
     if by_leg:
         caption = "Leg length changes ± sd."
         return make_table(caption, columns, rows)
@@ -250,11 +245,11 @@ def _plot_motions(results: Results, walk: bool) -> Block:
 
 def draw_motions(motions: Sequence[MotionRow], walk: bool, by_leg: bool) -> mpl.Figure:
     """Return the motion of legs, or of channels, over the sessions, a panel for each."""
-    names = list(dict.fromkeys(map(_name, motions)))
+    names = list(dict.fromkeys(one.moved for one in motions))
     figure = mpl.Figure(figsize=(9.4, 1.6 + 1.6 * ((len(names) - 1) // 3 + 1)))
     panels = figure.subplots(-(-len(names) // 3), min(3, len(names)), sharex=True, sharey=by_leg, squeeze=False)
     for k, (axes, name) in enumerate(zip(panels.ravel(), names, strict=False)):
-        mine = [one for one in motions if _name(one) == name]
+        mine = [one for one in motions if one.moved == name]
         mine = mine[:-1] if walk and len(mine) > 1 else mine  # the last row sets the first against the last
         mean, low, high = np.array([(one.mean, one.q05, one.q95) for one in mine]).T
         bars = np.abs([low - mean, high - mean])

@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayescal.experiments.shared.rows import (
+    CHANGE_UNIT,
+    CHANNEL,
+    INTERVAL_REDUCTION,
+    LEG,
+    P_MOVED,
+    PARAMETER,
+    POSTERIOR_SD,
+    PRIOR_SD,
+    Q05,
+    Q95,
+)
 from bayescal.files.rows import TableRow, column
 
 
@@ -12,24 +24,22 @@ class SessionRow(TableRow, table="sessions"):
     """A session, or a machine of a population."""
 
     session: str = column("label of the session", show="name")
-    time_days: float = column("time of the session; NaN where none is stated", "d", show="plain", title="Time")
+    time_days: float = column("time of the session, or NaN", "d", show="plain", title="Time")
     n_poses: int = column("poses measured", show="count", title="Poses")
-    temperature_celsius: float = column(
-        "temperature; NaN where none is stated", "°C", show="fixed 1", title="Temperature"
-    )
+    temperature_celsius: float = column("temperature, or NaN", "°C", show="fixed 1", title="Temperature")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriftScaleRow(TableRow, table="scales"):
     """A prior scale of the drift."""
 
-    parameter_group: str = column("parameter, or symbol of the parameters, with this scale")
-    unit: str | None = column("unit of the scale; absent where it is µm", default=None)
+    parameter_group: str = column("parameter or symbol with this scale")
+    unit: str | None = column("unit of the scale; absent: µm", default=None)
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
-    log_bayes_factor_moved: float = column("log Bayes factor of motion against none, all others free", "nat")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
+    log_bayes_factor_moved: float = column("log Bayes factor of motion, others free", "nat")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +48,14 @@ class SessionShiftRow(TableRow, table="shifts"):
 
     since: str = column("earlier session, or mean")
     session: str = column("later session, or machine")
-    parameter: str = column("name of the parameter")
-    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    parameter: str = column(PARAMETER)
+    unit: str | None = column(CHANGE_UNIT, default=None)
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
-    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
-    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
+    p_exceeds_limit: float = column(P_MOVED)
+    interval_reduction: float = column(INTERVAL_REDUCTION)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +64,19 @@ class LegMotionRow(TableRow, table="legs"):
 
     since: str = column("earlier session, or mean")
     session: str = column("later session, or machine")
-    leg: int = column("number of the leg")
-    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    leg: int = column(LEG)
+    unit: str | None = column(CHANGE_UNIT, default=None)
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
-    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
-    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
+    p_exceeds_limit: float = column(P_MOVED)
+    interval_reduction: float = column(INTERVAL_REDUCTION)
+
+    @property
+    def moved(self) -> str:
+        """Number of the leg."""
+        return str(self.leg)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,14 +85,19 @@ class ChannelMotionRow(TableRow, table="channels"):
 
     since: str = column("earlier session, or mean")
     session: str = column("later session, or machine")
-    channel: str = column("name of the channel")
-    unit: str | None = column("unit of the change; absent where it is µm", default=None)
+    channel: str = column(CHANNEL)
+    unit: str | None = column(CHANGE_UNIT, default=None)
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
-    p_exceeds_limit: float = column("probability that the change exceeds the limit of motion")
-    interval_reduction: float = column("1 - width of the posterior's over that of the prior's 90 % interval")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
+    p_exceeds_limit: float = column(P_MOVED)
+    interval_reduction: float = column(INTERVAL_REDUCTION)
+
+    @property
+    def moved(self) -> str:
+        """Name of the channel."""
+        return self.channel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +105,10 @@ class SessionParameterRow(TableRow, table="parameters"):
     """A parameter in a session."""
 
     session: str = column("label of the session")
-    parameter: str = column("name of the parameter")
+    parameter: str = column(PARAMETER)
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    prior_sd: float = column("prior standard deviation")
+    sd: float = column(POSTERIOR_SD)
+    prior_sd: float = column(PRIOR_SD)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +117,11 @@ class ExpansionRow(TableRow, table="expansion"):
 
     body: str = column("name of the body", show="text")
     prior_mean: float = column("prior mean", "ppm/K", show="± prior_sd", title="prior")
-    prior_sd: float = column("prior standard deviation", "ppm/K")
+    prior_sd: float = column(PRIOR_SD, "ppm/K")
     mean: float = column("posterior mean", "ppm/K", show="± sd", title="posterior")
-    sd: float = column("posterior standard deviation", "ppm/K")
-    q05: float = column("5 % quantile", "ppm/K")
-    q95: float = column("95 % quantile", "ppm/K")
+    sd: float = column(POSTERIOR_SD, "ppm/K")
+    q05: float = column(Q05, "ppm/K")
+    q95: float = column(Q95, "ppm/K")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,31 +131,27 @@ class SessionErrorRow(TableRow, table="model_error"):
     error: str = column("name of the size")
     unit: str = column("unit of the size")
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriftModelRow(TableRow, table="models"):
     """A model of what may move, and the checks of its evidence."""
 
-    model: str = column("drift, no drift, or the part that is held still", show="name")
+    model: str = column("drift, none, or the part held still", show="name")
     log_evidence: float = column("log-evidence", "nat", show="± se", title="Log-evidence")
     se: float = column("standard error of the log-evidence", "nat")
-    efficiency: float = column(
-        "effective fraction of the draws of scales", show="percent", title="efficiency", group="Scales"
-    )
-    pareto_k: float = column("Pareto k of the weights of scales", show="fixed 2", title="k", group="Scales")
+    efficiency: float = column("effective fraction, scales", show="percent", title="efficiency", group="Scales")
+    pareto_k: float = column("Pareto k, scales", show="fixed 2", title="k", group="Scales")
     exact_efficiency: float = column(
-        "effective fraction of draws reweighted to the exact density",
+        "effective fraction, exact density",
         show="percent",
         title="efficiency",
         group="Exact density",
     )
-    exact_pareto_k: float = column(
-        "Pareto k of the weights to the exact density", show="fixed 2", title="k", group="Exact density"
-    )
+    exact_pareto_k: float = column("Pareto k, exact density", show="fixed 2", title="k", group="Exact density")
 
 
 type MotionRow = LegMotionRow | ChannelMotionRow

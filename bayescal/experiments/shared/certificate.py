@@ -335,7 +335,7 @@ def _state_verdict(found: Certificate) -> list[Statement]:
         text = f"No tool in the class: coordinates {names} are certified."
         said.append(Statement(text, "warning", "Tool"))
     if found.beyond > MUCH_BEYOND:
-        text = f"{format_percent(found.beyond)} of the poses are extrapolated beyond the calibration poses."
+        text = f"{format_percent(found.beyond)} of the poses are extrapolated."
         action = "Omit --full-range, or measure poses there."
         said.append(Statement(text, "warning", "Extrapolated", action=action))
     first = max(shares, key=lambda source: shares[source][main].mean())

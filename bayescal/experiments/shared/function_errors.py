@@ -82,9 +82,10 @@ def tabulate_functions(
         return {}
     draws, data = posterior.likelihood.draw_common(*posterior.at(y), rng), posterior.likelihood.data
     grid, rows, curves = _grid(data), list[ErrorFunctionRow](), list[pd.DataFrame]()
-    terms = posterior.errors.of(posterior.zeta(y))
-    for (term, zeta), errors, course in zip(terms, draws.by_term(data), draws.by_term(grid), strict=True):
-        if not isinstance(term, FunctionErrors) or errors is None or course is None:
+    terms = (zeta for _, zeta in posterior.errors.of(posterior.zeta(y)))
+    by_term = zip(terms, draws.by_term(data), draws.by_term(grid), strict=True)
+    for term, (zeta, errors, course) in posterior.errors.select_of(FunctionErrors, by_term):
+        if errors is None or course is None:
             continue
         for k, group in zip(term.places, term.group, strict=True):
             factor, unit = SHOWN.get(term.scale_units[group], (1.0, term.scale_units[group]))
@@ -249,8 +250,8 @@ class _Functions:
 def _draw_functions(data: Measurements, errors: ErrorModel, draws: CommonDraws) -> tuple[list[str], dict[str, Array]]:
     """Return names of own channels, and draws (T, P, N) of each sort of functions at rows, mm at the tool."""
     names, functions = list[str](), dict[str, Array]()
-    for term, found in zip(errors.terms, draws.by_term(data) or [None] * len(errors.terms), strict=True):
-        if isinstance(term, GPTerm) and found is not None:
+    for term, found in errors.select_of(GPTerm, draws.by_term(data) or [None] * len(errors.terms)):
+        if found is not None:
             names = list(term.own.names)
             functions[term.sort] = found[..., term.own.places] * term.own.levers
     return names, functions

@@ -25,6 +25,7 @@ NOT_DISTINGUISHABLE = 1.0
 """Difference of log-evidences, nat, below which two variants fit equally well."""
 DECISIVE = 5.0
 """The same from which on the worse variant is ruled out: odds of 150 to 1."""
+UNDETERMINED = "own sensors do not determine the pose"
 LIKELY = 0.9
 """Probability from which on a requirement counts as safely met."""
 RERUN = "more `steps` and `burn_in` in `[sampler]`"
@@ -241,7 +242,7 @@ def say_requirements(probabilities: Mapping[str, float]) -> str:
     if not each:
         return "requirements not stated"
     if not all(map(math.isfinite, each.values())):
-        return "requirements fail: own sensors do not determine the pose"
+        return f"requirements fail: {UNDETERMINED}"
     least = min(each, key=lambda name: each[name])
     together = probabilities.get("", math.nan)
     together = together if math.isfinite(together) else each[least]

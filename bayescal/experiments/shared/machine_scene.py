@@ -16,9 +16,7 @@ type Joint = tuple[str, int]
 SYMBOLS = {"base": "a", "platform": "b"}
 AXES = ("x", "y", "z")
 ORIGIN: Triple = (0.0, 0.0, 0.0)
-CAPTION = (
-    "Joints; turn with mouse, finger or arrow keys. Leg 1: a, base joint; b, platform joint (blue); l, leg length{}."
-)
+CAPTION = "Joints. Leg 1: a, base joint; b, platform joint (blue); l, leg length{}."
 DRIVES = {
     True: "; u, actuator direction; ρ, its travel",
     False: ", which ρ changes",
@@ -120,7 +118,7 @@ def build_line_scene(
     last = len(points) - 1
     lines = tuple(SceneLine((k, last), "leg") for k in range(last))
     magnified = choose_magnification(points)
-    caption = "A point on lines from anchors A. Turn with mouse, finger or arrow keys."
+    caption = "A point on lines from anchors A."
     if magnified:
         caption += FOUND.format(format_plain(magnified)).replace(" (b: platform frame)", "")
     alt = f"A point on {last} lines."

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayescal.density.calibration.likelihood import CalibrationPosterior
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.slip_rows import VariantReadings
 from bayescal.experiments.shared.study_schema import StudyConfig
@@ -120,5 +120,5 @@ def choose_variant(name: str | None, config: StudyConfig, path: Path) -> str:
     if not name and len(known) == 1:
         return known[0]
     if name not in known:
-        raise InputError(f"{path}: variant: found {name or 'none'!r}, expected one of {', '.join(known)}")
+        raise InputError(say_unknown(f"{path}: variant", name or "none", known))
     return name

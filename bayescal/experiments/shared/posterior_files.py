@@ -108,7 +108,7 @@ def split_parameters(names: Sequence[str], values: Array, units: Sequence[str]) 
 
 
 def make_dataset(
-    variables: Variables, coords: Mapping[str, Sequence[Any]] | None = None, drawn: bool = False
+    variables: Variables, coords: Mapping[str, Sequence[object]] | None = None, drawn: bool = False
 ) -> xr.Dataset:
     """Return variables as a group of a tree; those that are ``drawn`` have chains and draws before all else."""
     import xarray as xr

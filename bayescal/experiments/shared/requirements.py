@@ -30,7 +30,7 @@ def read_requirements(
     units, said = _list_required(model), Units(section.length, section.angle)
     for name in stated:
         if name not in units:
-            raise InputError(f"requirements: found {name!r}, expected some of {', '.join(units) or 'none: no tool'}")
+            raise InputError(f"requirements: found {name!r}, expected one of {', '.join(units) or 'none: no tool'}")
     components, _ = name_tool(model)
     found = []
     for name, unit in units.items():

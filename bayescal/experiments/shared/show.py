@@ -19,7 +19,6 @@ from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.read import load_mechanism, read_reading_model
 from bayescal.machines.readings import Parameters, ReadingMachine
 from bayescal.machines.readings.line_machine import AXES, LineMachine
-from bayescal.machines.readings.places import TwoPlaces
 from bayescal.machines.readings.sliding_platform import SlidingPlatform
 from bayescal.machines.readings.strut_machine import N_STRUTS, StrutMachine
 from bayescal.numerics.geometry import Array
@@ -55,22 +54,22 @@ def describe_machine(path: Path) -> Page:
     model = read_reading_model(path)
     if model.legs is not None:
         return _describe_mechanism(model.legs.machine.mechanism)
-    machine = getattr(model, "machine", model)
+    machine = model.of_function
     with name_faults(f"{path}: kind"):
-        return _describe(machine.machine if isinstance(machine, TwoPlaces) else machine, getattr(model, "name", ""))
+        if machine is None:
+            raise InputError("found no function, expected legs, or a class with `outline`")
+        return _describe(machine.at_one_place, getattr(model, "name", ""))
 
 
 @singledispatch
-def _describe(machine: object, name: str) -> Page:
+def _describe(machine: ReadingMachine, name: str) -> Page:
     """Return the page of a machine of one function: its outline at home and at the ends of its coordinates."""
-    if not isinstance(machine, ReadingMachine):
-        raise InputError("found a machine that is no function, expected one of legs, or a class with `outline`")
     layout = ParameterLayout(tuple(machine.parameters))
     names, places, pairs = _trace(machine, layout)
     stands = enumerate(places.swapaxes(0, 1), start=1)
     points = tuple(ScenePoint(f"point {k}", "base", tuple(map(_triple, one))) for k, one in stands)
     lines = tuple(SceneLine(pair, "leg") for pair in pairs)
-    caption = "Points and lines as the class of the machine has them. Turn with mouse, finger or arrow keys."
+    caption = "Points and lines of the machine's class."
     scene = Scene("machine", caption, f"{len(points)} points and {len(lines)} lines.", points, lines, names)
     columns = [Column("Parameter", kind="name"), Column("Nominal"), Column("Unit", kind="name")]
     values = zip(layout.names, layout.nominal.tolist(), layout.units, strict=True)
@@ -91,7 +90,7 @@ def _trace(machine: ReadingMachine, layout: ParameterLayout) -> tuple[tuple[str,
         with np.errstate(all="ignore"):
             drawn = machine.outline(Parameters(layout, layout.nominal), poses)
         if drawn is None:
-            raise InputError("found a machine whose class has no drawing, expected legs, struts, lines or `outline`")
+            raise InputError("found a class without drawing, expected legs, struts, lines or `outline`")
         points = np.asarray(drawn[0], dtype=np.float64)
         places = np.broadcast_to(points, (len(poses), points.shape[-2], len(AXES)))
         pairs = [(range(len(places[0]))[one], range(len(places[0]))[other]) for one, other in drawn[1]]

@@ -125,7 +125,7 @@ class VariantConfig(FreeConfig):
         if {"/", "."} & set(self.name) and self.has_own_name:
             raise ValueError(f"name: found {self.name!r}, expected a name without slashes and dots")
         if self.student_t_dof is not None and self.outlier_fraction is not None:
-            raise ValueError("found student_t_dof and outlier_fraction, expected one of them")
+            raise ValueError("found student_t_dof and outlier_fraction, expected either")
         return self
 
 
@@ -270,8 +270,6 @@ def _check_names(names: list[str]) -> None:
     for name in names:
         other = first.setdefault(stem_of(name).lower(), name)
         if names.count(name) > 1:
-            raise ValueError(
-                f"variant {name!r} is there twice, expected each variant once, or a name of its own for each free set"
-            )
+            raise ValueError(f"variant {name!r} is there twice, expected a name for each free set")
         if other != name:
             raise ValueError(f"variants {other!r} and {name!r} would share their files, expected other names")

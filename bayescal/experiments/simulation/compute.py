@@ -181,6 +181,13 @@ class SeenTool:
         """Return a machine's parameters with those of the frames."""
         return layout.extend(frame_blocks(len(self.frames) - 1))
 
+    def measure_twin(self, twin: Twin, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
+        """Return the texts of the tables of a twin by their names, and its true poses (P, 6), mm and rad."""
+        commanded, _, found = move(twin, rng, twin.theta)
+        origin = twin.config.provenance.text
+        files = {"actuators.csv": format_actuators(twin.names, twin.held_back, commanded, origin)}
+        return files | self.format(twin.names, found.position, found.rotation, origin, rng), stack_poses(found)
+
     def format(
         self, names: tuple[str, ...], position: Array, rotation: Array, origin: str, rng: np.random.Generator
     ) -> dict[str, str]:
@@ -233,6 +240,24 @@ class SeenTargets:
             measured.append(replace(body, measured=seen + rng.normal(0.0, self.noise, seen.shape)))
         return measured[0], measured[1]
 
+    def survey(self, twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> tuple[Survey, Array]:
+        """Return one survey of a twin, or of other true parameters (D,), with noise and measurement frames of its own.
+
+        And where the platform truly stood, (P, 6), the actuators' noise included: position in mm and rotation vector in
+        rad, base frame.
+        """
+        mechanism = twin.mechanism
+        commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
+        ring = twin.machine.deformation.coupling(mechanism.n_legs)  # which the pads follow; offsets of κ are not in it
+        lifted = (actual - mechanism.initial_actuator_positions) @ ring.T
+        base, platform = self.measure(pose.position, pose.rotation, rng, lifted)
+        return Survey(twin.names, twin.held_back, commanded, base, platform), stack_poses(pose)
+
+    def measure_twin(self, twin: Twin, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
+        """Return the texts of the tables of a twin by their names, and its true poses; see `survey`."""
+        survey, poses = self.survey(twin, rng)
+        return format_survey(survey, twin.config.provenance.text), poses
+
     def format(
         self, names: tuple[str, ...], position: Array, rotation: Array, origin: str, rng: np.random.Generator
     ) -> dict[str, str]:
@@ -252,25 +277,26 @@ def _place_targets(config: SimulationConfig, mechanism: Mechanism | None) -> See
 
 def _read_instrument(config: SimulationConfig, model: ReadingModel, folder: Path) -> SeenTool | SeenTargets | None:
     """Return the instrument that sees the tool; InputError where the machine does not say where that is, or turned."""
-    section = config.targets or config.instrument
-    if section is None:
+    targets, instrument = config.targets, config.instrument
+    if targets is None and instrument is None:
         return None
-    which = "targets" if config.targets is not None else "instrument"
+    which = "targets" if targets is not None else "instrument"
     if not model.commanded:
         raise InputError(f"sensors: found no commanded channel, expected some with [{which}]")
     if not model.places_tool:
-        raise InputError("machine: found no place of its tool, expected tool_channels of its class, up to three in mm")
-    turned = not isinstance(section, PoseInstrumentConfig) or section.arcseconds is not None
-    if turned and not InstrumentedMachine(model, ()).tells_rotation:
+        raise InputError("machine: found no tool position, expected tool_channels, up to three in mm")
+    positions = instrument is not None and instrument.kind == "poses" and instrument.arcseconds is None
+    if (targets is not None or not positions) and not InstrumentedMachine(model, ()).tells_rotation:
         raise InputError(
             f"{which}: found a machine that does not say how its tool is turned, expected [instrument] poses without "
             "orientation_arcsec"
         )
-    if isinstance(section, TargetsConfig):
-        if section.targets_per_pad:
-            raise InputError(f"targets.targets_per_pad: found {section.targets_per_pad}, expected 0 without [poses]")
+    if targets is not None:
+        if targets.targets_per_pad:
+            raise InputError(f"targets.targets_per_pad: found {targets.targets_per_pad}, expected 0 without [poses]")
         return _place_targets(config, None)
-    return SeenTool(section, folder, _read_frames(section, folder))
+    assert instrument is not None
+    return SeenTool(instrument, folder, _read_frames(instrument, folder))
 
 
 def _format_readings(
@@ -413,15 +439,8 @@ class Twin:
 
     def simulate(self, rng: np.random.Generator) -> tuple[dict[str, str], Array]:
         """Return the texts of all files by their names, and all true parameters."""
-        origin = self.config.provenance.text
-        if isinstance(self.seen, SeenTargets):
-            survey, poses = survey_twin(self, rng)
-            return format_survey(survey, origin) | format_truth(self, poses), self.theta
-        commanded, _, found = move(self, rng, self.theta)
-        files = {"actuators.csv": format_actuators(self.names, self.held_back, commanded, origin)}
-        files |= self.seen.format(self.names, found.position, found.rotation, origin, rng)
-        truth = format_truth(self, stack_poses(found))
-        return files | truth, np.concatenate([self.theta, self.seen.frames.ravel()])
+        files, poses = self.seen.measure_twin(self, rng)
+        return files | format_truth(self, poses), np.concatenate([self.theta, self.seen.frames.ravel()])
 
 
 def build_twin(config: SimulationConfig, folder: Path) -> Twin:
@@ -440,7 +459,7 @@ def build_twin(config: SimulationConfig, folder: Path) -> Twin:
     machine, poses, targets = model.machine, config.poses, config.targets
     assert poses is not None
     check_home_pose(machine)
-    if targets is not None and targets.targets_per_pad and not isinstance(machine.deformation, MatrixDeformation):
+    if targets is not None and targets.targets_per_pad and not machine.deformation.uses_matrix:
         raise InputError(
             f"targets.targets_per_pad: found {targets.targets_per_pad}, expected "
             "truth.deformation_matrix with a mechanism's file"
@@ -463,21 +482,6 @@ def _read_frames(config: PlatformInstrumentConfig, folder: Path) -> Array:
     if len(bases) != n_stations:
         raise InputError(f"instrument.frames.base: found {len(bases)} frames, expected {n_stations} (one per station)")
     return np.array([[*one.position_mm, *np.radians(one.rotation_deg)] for one in (*bases, config.frames.tool)])
-
-
-def survey_twin(twin: Twin, rng: np.random.Generator, theta: Array | None = None) -> tuple[Survey, Array]:
-    """Return one survey of the twin, or of other true parameters (D,), with noise and measurement frames of its own.
-
-    And where the platform truly stood, (P, 6), the actuators' noise included: position in mm and rotation vector in
-    rad, base frame.
-    """
-    mechanism = twin.mechanism
-    assert isinstance(twin.seen, SeenTargets)
-    commanded, actual, pose = move(twin, rng, twin.theta if theta is None else theta)
-    ring = twin.machine.deformation.coupling(mechanism.n_legs)  # which the pads follow; offsets of κ are not in it
-    lifted = (actual - mechanism.initial_actuator_positions) @ ring.T
-    base, platform = twin.seen.measure(pose.position, pose.rotation, rng, lifted)
-    return Survey(twin.names, twin.held_back, commanded, base, platform), stack_poses(pose)
 
 
 def move(twin: Twin, rng: np.random.Generator, theta: Array) -> tuple[Array, Array, ForwardKinematics]:
@@ -530,15 +534,15 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
         (pose, "verification" if held else "calibration", *(f"{x:.{TARGET_DECIMALS}f}" for x in position))
         for pose, held, position in zip(names, verification, actuators, strict=True)
     ]
-    text = "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism."
+    text = "Actuator positions rho in mm; displacements from the initial positions."
     return format_table([origin, text], ("pose", "use", *name_actuators(actuators.shape[1])), rows)
 
 
 def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
     origin = twin.config.provenance.text
-    about_parameters = "True parameters of the machine that the survey is of."
-    about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
+    about_parameters = "True parameters of the surveyed machine."
+    about_poses = "True platform poses in the base frame: position, rotation vector."
     return {
         PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.legs.layout, twin.theta),
         POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, twin.names, poses),
@@ -568,12 +572,12 @@ def _format_targets(poses: Sequence[str], measured: Sequence[BodyTargets], origi
     ]
     return {
         "targets.csv": format_table(
-            [origin, "Targets in the measurement frame, which differs from pose to pose; coordinates in mm."],
+            [origin, "Targets in each pose's measurement frame; mm."],
             TARGET_COLUMNS,
             rows,
         ),
         "target_reference.csv": format_table(
-            [origin, ("Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint.")],
+            [origin, ("Targets in body frames, mm; leg 0: rigid part, leg i: its pad.")],
             REFERENCE_COLUMNS,
             reference,
         ),
@@ -593,7 +597,7 @@ def _format_poses(
         columns += VALUES[3:]
         values = np.concatenate([position, np.degrees(rotation_vector_from_matrix(turned))], axis=1)
         deviations |= {f"sd_r{axis}_urad": round(sd / MICRORADIAN, 6) for axis in "xyz"}
-    comments = [origin, ("Pose of the probe in the instrument's frame: position in mm, rotation vector in degrees.")]
+    comments = [origin, ("Probe poses in the instrument's frame: mm, rotation vector in degrees.")]
     rows = [(name, *(f"{x:.8f}" for x in one), *deviations.values()) for name, one in zip(names, values, strict=True)]
     return format_table(comments, ["pose", *columns, *deviations], rows)
 
@@ -622,7 +626,7 @@ def _format_points(
         if there[s, p, q]
         for r, azimuth, elevation in [reading[s, p, q]]
     ]
-    comments = [origin, ("Points on the platform as stations see them: range in mm, azimuth and elevation in degrees.")]
+    comments = [origin, ("Platform points from stations: range in mm, azimuth and elevation in degrees.")]
     return format_table(comments, ["pose", "station", "point", *POLAR], rows)
 
 

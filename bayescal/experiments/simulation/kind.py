@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Simulation(MachineExperiment[SimulationConfig, Plan]):
             found.simulate(np.random.default_rng(config.seed))  # drawn once more to be written: what fails shows now
         return found
 
-    def list_file_faults(self, content: Mapping[str, Any], folder: Path) -> list[str]:
+    def list_file_faults(self, content: Mapping[str, object], folder: Path) -> list[str]:
         """Return what is wrong with the machine's file by itself."""
         return look_at_machine(content, folder)[1]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bayescal.experiments.shared.rows import PARAMETER, PARAMETER_UNIT
 from bayescal.files.rows import TableRow, column
 
 
@@ -11,8 +12,8 @@ from bayescal.files.rows import TableRow, column
 class TruthRow(TableRow, table="truth"):
     """A parameter that is off its nominal value."""
 
-    parameter: str = column("name of the parameter", show="name")
-    unit: str = column("unit of the parameter", show="text")
+    parameter: str = column(PARAMETER, show="name")
+    unit: str = column(PARAMETER_UNIT, show="text")
     nominal: float = column("nominal value", show="fixed 6")
     true: float = column("true value", show="fixed 6")
 

@@ -26,7 +26,7 @@ from bayescal.config.registry import list_references, list_sources
 from bayescal.config.trust import check_same
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.terms import CommonDraws
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.runner.kept_inputs import find_config
 from bayescal.experiments.runner.results import PRELIMINARY, Results, Writer
 from bayescal.experiments.shared.calibrating import KEPT
@@ -167,7 +167,7 @@ def calibrate_machine(
     solution = _choose_solution(results, chosen.name, mode)
     kept = results.folder / KEPT
     if experiment is None and not ("machine_folder" in results.summary and kept.is_dir()):
-        raise InputError(f"{results.folder}: found no machine, expected a new run, or --experiment STUDY.toml")
+        raise InputError(f"{results.folder}: found no machine, expected --experiment STUDY.toml")
     folder = kept / str(results.summary["machine_folder"]) if experiment is None else experiment.parent
     path = folder.with_segments(os.path.normpath(str(folder / (chosen.machine or config.machine))))
     covariance = None
@@ -340,8 +340,8 @@ def _choose(results: Results, config: StudyConfig, name: str | None) -> VariantC
     for one in config.variants:
         if one.name == wanted:
             return one
-    known = ", ".join(one.name for one in config.variants)
-    raise InputError(f"{results.folder}: --variant: found {wanted!r}, expected one of {known}")
+    known = [one.name for one in config.variants]
+    raise InputError(say_unknown(f"{results.folder}: --variant", wanted, known))
 
 
 def _read_posterior(

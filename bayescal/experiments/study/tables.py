@@ -475,7 +475,7 @@ def format_poses(measured: Measured, origin: ProvenanceConfig) -> str:
     ]
     comments = [
         name_origin(origin.model_dump()),
-        "Platform pose in the base frame; mm, rotation vector in degrees.",
+        "Platform pose, base frame; mm, rotation vector in degrees.",
         "cov: covariance of position (µm) and rotation vector (µrad), base axes.",
     ]
     return format_table(comments, columns, rows)

@@ -136,7 +136,7 @@ def split_key(key: str) -> tuple[str, str]:
     return (file, inner) if colon else ("", key)
 
 
-def change(content: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+def change(content: Mapping[str, object], settings: Iterable[tuple[str, object]]) -> dict[str, Any]:
     """Return a config's content with values set by dotted keys; tables on the way are made where there are none.
 
     What no key leads through is not copied. InputError where a key leads through what is no table, or to an entry that
@@ -158,7 +158,7 @@ def change(content: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> d
     return changed
 
 
-def _step(place: Any, part: str, key: str) -> Any:
+def _step(place: object, part: str, key: str) -> Any:
     if isinstance(place, dict) and part in place:
         return place[part]
     if isinstance(place, list) and part.isdigit() and int(part) < len(place):
@@ -166,7 +166,7 @@ def _step(place: Any, part: str, key: str) -> Any:
     raise InputError(f"{key}: found no {part!r}, expected a key of the config")
 
 
-def find(content: Mapping[str, Any], key: str) -> Any:
+def find(content: Mapping[str, object], key: str) -> Any:
     """Return the value of a dotted key; InputError where there is none."""
     place: Any = content
     for part in key.split("."):

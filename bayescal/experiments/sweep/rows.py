@@ -18,7 +18,7 @@ class SweepMemberRow(TableRow, table="members"):
 
     others: Mapping[str, float | str] = field(default_factory=dict)
     state: Literal["done", "not converged", "failed"] = column("state of the member")
-    reason: str = column("why it failed or did not converge; empty if it is done")
+    reason: str = column("why it failed, or empty")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +27,11 @@ class SweepAnswerRow(TableRow, table="answers"):
 
     figure: str = column("key of the figure")
     axis: str = column("name of the axis")
-    setting: str = column("values of the other axes; empty without any")
+    setting: str = column("values of the other axes, or empty")
     extent: Literal["everywhere", "nowhere", "up to", "from", "in places"] = column("where the requirement is met")
-    bound: float = column("interpolated bound on the axis; NaN without one")
-    met_at: float = column("neighbouring value that meets the requirement; NaN without one")
-    failed_at: float = column("neighbouring value that does not; NaN without one")
+    bound: float = column("interpolated bound on the axis, or NaN")
+    met_at: float = column("neighbouring value that meets it, or NaN")
+    failed_at: float = column("neighbouring value that does not, or NaN")
 
 
 ROWS: tuple[type[TableRow], ...] = (SweepMemberRow, SweepAnswerRow)

@@ -14,7 +14,7 @@ import numpy as np
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.measurements import Comparison
 from bayescal.density.elimination import RANK
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_unknown
 from bayescal.experiments.runner.load import load
 from bayescal.experiments.shared.measured import choose_variant
 from bayescal.experiments.shared.readings.inputs import ReadingInputs, Variant, read_inputs
@@ -105,12 +105,10 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     """Return the reference, for what the machine has to know in the machine's order."""
     known = variant.whole.given
     if not known:
-        raise InputError(
-            f"axes: found {', '.join(config.axes)}, which no reading depends on: all places have one correction"
-        )
+        raise InputError(f"axes: found {', '.join(config.axes)}, which no reading depends on")
     for name in (*config.axes, *config.reference):
         if name not in known:
-            raise InputError(f"axes: found {name!r}, expected some of {', '.join(known) or 'none'}")
+            raise InputError(say_unknown("axes", name, known))
     for name in known:
         if name not in config.reference:
             raise InputError(f"reference: found no {name}, expected it")
@@ -123,7 +121,7 @@ def _place(config: TableConfig, study: StudyConfig, variant: Variant) -> Array:
     names = [one.name for one in coordinates]
     for name in config.pose:
         if name not in names:
-            raise InputError(f"pose: found {name!r}, expected some of {', '.join(names) or 'none'}")
+            raise InputError(say_unknown("pose", name, names))
     pose = variant.workspace.middle.copy()
     for k, one in enumerate(coordinates):
         if one.name in config.pose:

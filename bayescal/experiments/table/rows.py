@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from bayescal.experiments.shared.rows import POSTERIOR_SD, Q05, Q95
 from bayescal.files.rows import TableRow, column
 
 
@@ -23,9 +24,9 @@ class CorrectionRow(TableRow, table="corrections"):
     actuator: str = column("name of the actuator")
     unit: str = column("unit of the correction")
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,9 +37,9 @@ class OffsetRow(TableRow, table="offsets"):
     coordinate: str = column("name of the coordinate")
     unit: str = column("unit of the offset")
     mean: float = column("posterior mean")
-    sd: float = column("posterior standard deviation")
-    q05: float = column("5 % quantile")
-    q95: float = column("95 % quantile")
+    sd: float = column(POSTERIOR_SD)
+    q05: float = column(Q05)
+    q95: float = column(Q95)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +70,7 @@ class PolynomialTermRow(TableRow, table="polynomial"):
     actuator: str = column("name of the actuator")
     unit: str = column("unit of the coefficient")
     coefficient: float = column("posterior mean of the coefficient")
-    sd: float = column("posterior standard deviation of the coefficient")
+    sd: float = column("posterior sd of the coefficient")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,9 +79,9 @@ class PlanRow(TableRow, table="plan"):
 
     order: int = column("place in the order of measurement")
     others: Mapping[str, float] = field(default_factory=dict)
-    sd: float = column("standard deviation, rms over places and actuators")
-    max_sd: float = column("largest standard deviation over places and actuators")
-    random_sd: float = column("standard deviation, rms, after as many random measurements")
+    sd: float = column("rms sd over places and actuators")
+    max_sd: float = column("largest sd over places and actuators")
+    random_sd: float = column("rms sd after as many random measurements")
 
 
 ROWS: tuple[type[TableRow], ...] = (

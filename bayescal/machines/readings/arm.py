@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from bayescal.config.load import FOLDER
 from bayescal.config.sections import InputFile, NotNegative, Number, Section, Vector
+from bayescal.errors import say_twice
 from bayescal.machines.chains import FURTHEST, Chain, DenavitRow, Joint, Place, chain_rows, read_urdf
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import POSE_CHANNELS, Channel, Coordinate, Given
@@ -126,7 +127,7 @@ class ArmConfig(Section):
         n, names = len(self._chain.joints), [one.name for one in self._chain.joints]
         for name in names:
             if names.count(name) > 1:
-                raise ValueError(f"joints: found {name!r} twice, expected unique names")
+                raise ValueError(say_twice("joints", name))
         if self.workspace_deg and len(self.workspace_deg) != n:
             raise ValueError(f"workspace_deg: found {len(self.workspace_deg)} joints, expected {n}")
         ranges = [stated for one in self.joints for stated in (one.range_deg, one.range_mm) if stated]

@@ -25,6 +25,7 @@ from bayescal.machines.readings.newton import locate_pose
 from bayescal.numerics.geometry import Array
 
 if TYPE_CHECKING:
+    from bayescal.machines.readings.function import FunctionModel, ReadingMachine
     from bayescal.machines.readings.legs import Legs
 
 POINTS = 12
@@ -181,6 +182,7 @@ class BoundReadings(ABC):
     """
 
     places: np.ndarray  # (C,): the channels; what others read at a pose is the same for all machines
+    is_own: ClassVar[bool] = True  # whether they are bound in a form of the machine's own, not by its `read`
 
     @abstractmethod
     def read(self, theta: Array) -> Array:
@@ -198,6 +200,8 @@ class BoundReadings(ABC):
 @dataclass(frozen=True, eq=False)
 class BoundModel(BoundReadings):
     """Readings of a model as its `ReadingModel.read` has them, at poses that stay and again where these are moved."""
+
+    is_own: ClassVar[bool] = False
 
     places: np.ndarray
     model: ReadingModel
@@ -373,9 +377,19 @@ class ReadingModel(ABC):
         return ()
 
     @property
+    def beside(self) -> Sequence[FunctionModel]:
+        """The instruments beside the machine."""
+        return ()
+
+    @property
     def bare(self) -> ReadingModel:
         """The machine without instruments beside it."""
         return self
+
+    @property
+    def of_function(self) -> ReadingMachine | None:
+        """The machine whose function gives the readings; None where they are not those of one function."""
+        return None
 
     @property
     def home_pose(self) -> Array:
@@ -496,6 +510,14 @@ class ReadingModel(ABC):
         """Return the tool's m numbers alone; see `tool`."""
         return self.tool(theta, pose, False)[0]
 
+    def tool_frame(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
+        """Return position (..., 3), mm, and axes (..., 3, 3) of the tool in the base frame; None where they take more.
+
+        By default they do: `tool_values` and `rotation_in_space` have them.
+        """
+        del theta, pose
+        return None
+
     # --- commands --------------------------------------------------------------------------------------------------
 
     def locate(
@@ -592,7 +614,7 @@ class ReadingModel(ABC):
             found = {other for other in self.names if name in (other, other.partition("[")[0])}
             found = found or self._names_of_instrument(name)
             if not found:
-                raise InputError(f"sensor {name!r}: expected some of {', '.join(self.names)}")
+                raise InputError(f"sensor {name!r}: expected one of {', '.join(self.names)}")
             wanted |= found
         return np.array([k for k, name in enumerate(self.names) if name in wanted], dtype=int)
 

@@ -26,6 +26,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Length, Number, Section
+from bayescal.errors import say_reversed
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.delta import stack_points
@@ -56,7 +57,7 @@ class FiveBarConfig(Section):
     def _check_ends(self) -> Self:
         for low, high in self.workspace_mm:
             if low >= high:
-                raise ValueError(f"workspace_mm: found {low:g} to {high:g}, expected the smaller first")
+                raise ValueError(say_reversed("workspace_mm", low, high))
         if self.motors_mm[0] == self.motors_mm[1]:
             raise ValueError(f"motors_mm: found both at {self.motors_mm[0]}, expected two places")
         return self

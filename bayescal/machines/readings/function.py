@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bayescal.config.sections import Section
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_twice, say_unknown
 from bayescal.files.plain_text import add_article
 from bayescal.machines.parameters import ParameterBlock, ParameterLayout
 from bayescal.machines.readings.base import (
@@ -54,15 +54,15 @@ def check_members(name: str, machine: ReadingMachine) -> None:
         names = [one.symbol if isinstance(one, ParameterBlock) else one.name for one in found]
         for one_name in names:
             if names.count(one_name) > 1:
-                raise InputError(f"{where}: {member}: found {one_name!r} twice, expected unique names")
+                raise InputError(say_twice(f"{where}: {member}", one_name))
     if not machine.parameters or not machine.channels:
         raise InputError(f"{where}: expected at least one parameter and one channel")
     _check_rotations(f"{where}: channels", machine.channels)
     known = {name for one in machine.channels for name in (one.name, one.kind)}
     for name in machine.commanded:
         if name not in known:
-            channels = ", ".join(one.name for one in machine.channels)
-            raise InputError(f"{where}: commanded: found {name!r}, expected some of {channels}")
+            channels = [one.name for one in machine.channels]
+            raise InputError(say_unknown(f"{where}: commanded", name, channels))
 
 
 def check_tool(model: FunctionModel) -> None:
@@ -293,6 +293,11 @@ class ReadingMachine(ABC):
         """Raise InputError for data that cannot be; see `ReadingModel.check_given`. By default nothing is checked."""
         del poses, given, free
 
+    @property
+    def at_one_place(self) -> ReadingMachine:
+        """The machine at one place of a row: itself, but for one that a row of the data has at two places."""
+        return self
+
     def complete(self, values: Array) -> Array:
         """Return readings (P, K), NaN where nothing was read, with those that anyone may state; by default none."""
         return values
@@ -436,6 +441,7 @@ class FunctionModel(ReadingModel):
         """What has to be known of each row of the data."""
         return tuple(self.machine.given)
 
+    of_function = hand_on("machine")
     actuated = hand_on("machine.commanded")
     member = hand_on("machine.member")
     check_given = hand_on("machine.check_given")
@@ -586,7 +592,7 @@ class FunctionModel(ReadingModel):
             by_parameters[..., places] = slopes.reshape(*slopes.shape[: values.ndim], len(places))
         return values, by_pose, by_parameters
 
-    def place_tool(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
+    def tool_frame(self, theta: Array, pose: Array) -> tuple[Array, Array] | None:
         """Return position and axes of the tool where the machine has them; see `ReadingMachine.place_tool`."""
         return self.machine.place_tool(Parameters(self.layout, theta), pose)
 

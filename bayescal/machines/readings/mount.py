@@ -35,6 +35,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bayescal.config.sections import Number, Section
+from bayescal.errors import say_reversed
 from bayescal.machines.parameters import ParameterBlock
 from bayescal.machines.readings.base import Channel, Coordinate, Given
 from bayescal.machines.readings.function import Parameters, ReadingMachine
@@ -90,7 +91,7 @@ class MountConfig(Section):
         for name in DIRECTIONS[self.axes]:
             low, high = getattr(self, f"{name}_deg")
             if not low < high:
-                raise ValueError(f"{name}_deg: found {low:g} to {high:g}, expected the smaller first")
+                raise ValueError(say_reversed(f"{name}_deg", low, high))
         floor = 0.0 if self.axes == ALTAZIMUTH else -90.0
         if not floor < low < high < 90.0:
             raise ValueError(f"{name}_deg: found {low:g} to {high:g}, expected ends between {floor:g} and 90")

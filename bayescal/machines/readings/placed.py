@@ -18,12 +18,11 @@ from functools import cached_property
 
 import numpy as np
 
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_twice
 from bayescal.machines.parameters import ParameterLayout
 from bayescal.machines.readings.base import (
     NO_CONDITIONS,
     POSE,
-    BoundModel,
     BoundReadings,
     Channel,
     Coordinate,
@@ -119,7 +118,7 @@ class InstrumentedMachine(ReadingModel):
         own, n = self._split(theta)[0], len(self.whole.channels)
         bound = self.whole.bind(own, values[:, :n], pose, given)
         tool = self.whole.tool(own, pose)
-        if isinstance(bound, BoundModel) or (bound is not None and tool[2].any()):
+        if bound is not None and (not bound.is_own or tool[2].any()):
             return super().bind(theta, values, pose, given)
         if bound is None:
             return None
@@ -129,6 +128,7 @@ class InstrumentedMachine(ReadingModel):
 
     # --- what the machine says -----------------------------------------------------------------------------------
 
+    beside = hand_on("instruments")
     legs = hand_on("whole.legs")
     # no instrument moves the tool, is commanded or has coordinates
     bare = hand_on("whole")
@@ -213,7 +213,7 @@ class InstrumentedMachine(ReadingModel):
 
     def _see(self, own: Array, others: Sequence[Array], pose: Array) -> list[Array]:
         """Return what each instrument reads of machines (..., D) whose tools are at poses (..., q)."""
-        placed = self.whole.place_tool(own, pose) if isinstance(self.whole, FunctionModel) else None
+        placed = self.whole.tool_frame(own, pose)
         pairs = zip(self.instruments, others, strict=True)
         if placed is None or any(type(one.machine).read is not Instrument.read for one in self.instruments):
             tool = self._place_tool(self.whole.tool_values(own, pose), pose)
@@ -332,8 +332,11 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     InputError for an instrument that is none: without channels, failing, not analytic; for a machine that does not say
     where its tool is, or how it is turned where that is seen; for a name that the machine has already.
     """
-    if not instruments:
-        return machine
+    return place_instruments(machine, instruments) if instruments else machine
+
+
+def place_instruments(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> InstrumentedMachine:
+    """Return a machine with instruments beside it, maybe none; see `place`."""
     title = getattr(machine, "name", "")
     bare = InstrumentedMachine(machine, ())
     placed = []
@@ -359,5 +362,5 @@ def place(machine: ReadingModel, instruments: Mapping[str, Instrument]) -> Readi
     for names in (found.layout.symbols, tuple(one.stem for one in found.channels)):  # by which columns name channels
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"instruments: found {name!r} twice, expected unique names")
+                raise InputError(say_twice("instruments", name))
     return found

@@ -54,6 +54,11 @@ class TwoPlaces(ReadingMachine):
         self.commanded = [names[name][k] for k in range(len(PLACES)) for name in commanded]
         self.given = tuple(f"{name}_{place}" for place in PLACES for name in machine.given)
 
+    @property
+    def at_one_place(self) -> ReadingMachine:
+        """The machine at place a."""
+        return self.machine
+
     def _split(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q = len(self.machine.coordinates)
         return v[..., :q], v[..., q:]

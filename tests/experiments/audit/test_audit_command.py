@@ -70,7 +70,7 @@ def test_an_audit_writes_results_and_report(call, design, tmp_path, no_pictures)
 CAMERA = {
     "unknown sensor": (
         '[[variants]]\nmodel = "six_ups"\nsensors = ["laser"]',
-        r"sensor 'laser': expected some of rho\[1\]",
+        r"sensor 'laser': expected one of rho\[1\]",
     ),
     "no tolerance": ('[parameters]\nl = { prior = "normal", sd = 0.0 }', "found 0.0, expected greater than"),
     "profile of nothing": ('profiles = ["q[1]"]', r"profile of 'q\[1\]': fixed"),

@@ -204,7 +204,7 @@ def test_nothing_required_is_a_statement_of_accuracy(run):
 
 
 REFUSED = {
-    "unknown coordinate": ("z = 0.03 }", "w = 0.03 }", "requirements: found 'w', expected some of x, y, z"),
+    "unknown coordinate": ("z = 0.03 }", "w = 0.03 }", "requirements: found 'w', expected one of x, y, z"),
     "limit of zero": ("z = 0.03 }", "z = 0.0 }", "requirements.z"),
     "count and file": ("count = 40", f"count = 40\n{POSES}", "poses: expected one of count, file"),
     "sensor without noise": ("height = { noise_um = 10.0 }", "", "found no noise of height"),
@@ -224,7 +224,7 @@ REFUSED = {
     "errors of a term that is not there": (
         "[sensors]",
         '[model_error]\nterms = ["positioning"]\nexpected_um = { drift = 1.0 }\n[sensors]',
-        "expected_um: found ['drift'], expected some of ['positioning']",
+        "expected_um: found ['drift'], expected one of ['positioning']",
     ),
     "given to a machine that needs nothing": (
         "[sensors]",

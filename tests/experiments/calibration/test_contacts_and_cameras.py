@@ -293,7 +293,7 @@ def test_plans_that_no_tool_can_keep_are_refused(case, planned, refuse):
 
 def test_poses_are_not_chosen_where_instruments_touch(planned, refuse):
     planned.write_text(planned.read_text() + "[selection]\ncount = 5\n")
-    said = "selection: found instruments that read at some poses alone, expected all at each"
+    said = "selection: found instruments at some poses alone, expected all at each"
     refuse(said, planned.parent / "out", "run", planned, "--quiet")
 
 

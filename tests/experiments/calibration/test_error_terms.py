@@ -145,7 +145,7 @@ def test_variants_choose_their_errors_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('channels = ["s"]\nkernel', 'channels = ["sx"]\nkernel', "found channel 'sx', expected some of"),
+        ('channels = ["s"]\nkernel', 'channels = ["sx"]\nkernel', "found channel 'sx', expected one of"),
         ("scale_um = 20.0", "scale_arcsec = 20.0", "found scale_arcsec for s.1., which reads in mm, expected scale_um"),
         ("scale_um = 20.0", "scale_um = 20.0\nscale_mm = 1.0", "found scale_um and scale_mm, expected one of scale"),
         (
@@ -161,7 +161,7 @@ def test_variants_choose_their_errors_by_name(tmp_path):
         (
             'name = "all"',
             'name = "all"\nerror_terms = ["drfit"]',
-            "error_terms: found 'drfit', expected some of wander, edge, motors",
+            "error_terms: found 'drfit', expected one of wander, edge, motors",
         ),
     ],
 )

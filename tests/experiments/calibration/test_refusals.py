@@ -44,7 +44,7 @@ CASES = {
         "group of several units": (
             "[sampler]",
             "[workspace]\nw = [0.0, 1.0]\n[sampler]",
-            "workspace: found 'w', expected some of x, y, z",
+            "workspace: found 'w', expected one of x, y, z",
         ),
         "bounds the wrong way": (
             "[sampler]",
@@ -57,7 +57,7 @@ CASES = {
         "commanded by an instrument": (
             TABLE_LINE,
             f'{TABLE_LINE}\ncommanded_channels = ["s", "height"]',
-            "data.commanded_channels: found 'height', expected some of s[1], s[2], s[3]",
+            "data.commanded_channels: found 'height', expected one of s[1], s[2], s[3]",
         ),
         "commanded by too few": (
             TABLE_LINE,

@@ -121,7 +121,7 @@ def test_front_of_a_made_up_table():
     ("prices", "message"),
     [
         ({"s": 1.0, "phi": 1.0}, "costs: found none of psi"),
-        ({"s": 1.0, "phi": 1.0, "psi": 1.0, "x_V": 1.0}, "costs: found 'x_V', expected some of s, phi, psi"),
+        ({"s": 1.0, "phi": 1.0, "psi": 1.0, "x_V": 1.0}, "costs: found 'x_V', expected one of s, phi, psi"),
     ],
 )
 def test_faulty_prices_are_one_line(prices, message):

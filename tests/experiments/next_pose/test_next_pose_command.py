@@ -118,7 +118,7 @@ def test_options_of_a_study_that_cannot_be_are_one_line(question, refuse):
     for path, options, fault in (
         (study, ["--variant", "six_pus/none"], "expected --require NAME=VALUE"),
         (study, ["--require", "z"], "--require: found 'z', expected NAME=VALUE"),
-        (study, ["--require", "lead=0.02"], "requirements: found 'lead', expected some of x, y, z"),
+        (study, ["--require", "lead=0.02"], "requirements: found 'lead', expected one of x, y, z"),
         (question, ["--require", "z=0.02"], "next_pose.toml, expected a study"),
         (question.with_name("simulate.toml"), [], "kind: found 'simulation', expected 'study'"),
     ):

@@ -199,7 +199,7 @@ def test_candidates_come_from_a_table_and_variants_are_told_apart(question, call
 
 
 FAULTS = {
-    "x = 0.08": ("w = 0.08", "requirements: found 'w', expected some of x, y, z, position"),
+    "x = 0.08": ("w = 0.08", "requirements: found 'w', expected one of x, y, z, position"),
     'variants = ["all"]': ('variants = ["any"]', "variant 'any': expected one of all, one_rod"),
     "draws = 300": ("draws = 300\nn_first_poses = 99", "n_first_poses: found 99, expected at most 25"),
     "count = 60": ("range_mm = 3.0", "candidates.range_mm:"),
@@ -207,7 +207,7 @@ FAULTS = {
         "[workspace]\nposition_mm = [1, 1, 1]\nrotation_deg = [1, 1, 1]\n[requirements]",
         "workspace: found position_mm",
     ),
-    "[candidates]": ("[workspace]\nu = [0.0, 1.0]\n\n[candidates]", "workspace: found 'u', expected some of x, y, z"),
+    "[candidates]": ("[workspace]\nu = [0.0, 1.0]\n\n[candidates]", "workspace: found 'u', expected one of x, y, z"),
 }
 
 

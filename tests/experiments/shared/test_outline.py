@@ -30,7 +30,7 @@ def test_a_tube_points_where_the_mount_says(name):
 
 
 def test_a_class_without_an_outline_is_refused():
-    with pytest.raises(InputError, match="found a machine whose class has no drawing, expected legs, struts, lines or"):
+    with pytest.raises(InputError, match="found a class without drawing, expected legs, struts, lines or"):
         show._describe(own_arm.Arm(None), "arm")
 
 

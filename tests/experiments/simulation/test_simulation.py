@@ -18,7 +18,7 @@ from bayescal.data.photogrammetry.poses import extract_poses
 from bayescal.data.photogrammetry.survey import read_survey
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
-from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, read_model, survey_twin
+from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, read_model
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.files.csv_tables import read_matrix, read_table
 from bayescal.machines.kinematics import solve_forward_kinematics
@@ -40,6 +40,10 @@ FRAMES = ("x_P[1]", "y_P[1]", "beta[1]", "xi_B[1]", "eta_B[1]", "eta_B[2]")
 
 def load_twin(path: Path) -> Twin:
     return build_twin(load_experiment(path), path.parent)
+
+
+def survey_twin(twin: Twin, rng: np.random.Generator, theta=None):
+    return twin.seen.survey(twin, rng, theta)
 
 
 @pytest.fixture(scope="module")

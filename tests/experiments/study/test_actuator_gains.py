@@ -110,7 +110,7 @@ def test_a_machine_without_actuators_by_legs_has_none(tmp_path, refuse):
     start_project(tmp_path / "mine", "own", None)
     path = tmp_path / "mine" / "study.toml"
     path.write_text(path.read_text().replace("[parameters]\n", f"[parameters]\n{FREE}"))
-    refuse("parameters: found 'gain', expected some of", tmp_path / "mine" / "out", "run", path, "--quiet")
+    refuse("parameters: found 'gain', expected one of", tmp_path / "mine" / "out", "run", path, "--quiet")
 
 
 @pytest.mark.runs

@@ -137,9 +137,12 @@ def test_figures_tell_free_sets_apart(converged):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (('name = "lengths"\n', ""), "variant 'six_pus/none' is there twice, expected each variant once, or a name of"),
+        (('name = "lengths"\n', ""), "variant 'six_pus/none' is there twice, expected a name for each free set"),
         (('name = "lengths"', 'name = "joints alone"'), "variant 'joints alone' is there twice"),
-        (('name = "lengths"', 'name = "six_pus/none"'), "variant 'six_pus/none' is there twice, expected each"),
+        (
+            ('name = "lengths"', 'name = "six_pus/none"'),
+            "variant 'six_pus/none' is there twice, expected a name for each",
+        ),
         (('name = "lengths"', 'name = "six_pus-none"'), "variants 'six_pus/none' and 'six_pus-none' would share their"),
         (('name = "lengths"', 'name = "Joints_alone"'), "variants 'joints alone' and 'Joints_alone' would share"),
         (('name = "lengths"', 'name = "../lengths"'), "variants.3: name: found '../lengths', expected"),

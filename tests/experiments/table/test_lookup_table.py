@@ -181,11 +181,11 @@ def rail(tmp_path_factory):
         ("elevation_deg = [0.0, 45.0, 90.0]", "azimuth_deg = [0.0, 45.0]", "reference: found no azimuth_deg"),
         ("elevation_deg = [0.0, 45.0, 90.0]", "elevation_deg = [45.0, 0.0]", "found values that do not rise"),
         (", temperature_c = 10.0 }", " }", "reference: found no temperature_c"),
-        ("allow_unconverged = true", "pose = { w = 3.0 }", "pose: found 'w', expected some of x"),
+        ("allow_unconverged = true", "pose = { w = 3.0 }", "pose: found 'w', expected one of x"),
         (
             "temperature_c = 10.0 }",
             "temperature_c = 10.0, wind = 3.0 }",
-            "found 'wind', expected some of elevation_deg",
+            "found 'wind', expected one of elevation_deg",
         ),
     ],
 )

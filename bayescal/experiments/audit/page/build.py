@@ -20,7 +20,7 @@ from bayescal.report.numbers import join_words
 from bayescal.report.symbols import describe_deformation
 
 KIND = "Identifiability audit"
-RIDGES = "Structurally unidentifiable combinations need other measurements; weak ones a better plan."
+RIDGES = "Structurally unidentifiable: measure something else. Weak: improve the plan."
 NO_RIDGES = "All combinations are determined."
 
 

@@ -20,7 +20,7 @@ from bayescal.experiments.audit.rows import (
     SelectedPoseRow,
     SensorSetRow,
 )
-from bayescal.experiments.shared.headline import rate_probability
+from bayescal.experiments.shared.headline import UNDETERMINED, rate_probability
 from bayescal.report.blocks import Cell, Column, Figure, PageSection, Table, make_section, make_table
 from bayescal.report.numbers import (
     NO_VALUE,
@@ -36,7 +36,7 @@ from bayescal.report.symbols import ChosenUnits, format_place, name_unit, shown_
 MAX_LISTED_SETS = 12  # sets that are listed
 REASONS = {
     "calibration": "calibration readings do not determine the pose",
-    "use": "own sensors do not determine the pose",
+    "use": UNDETERMINED,
 }
 
 

@@ -36,7 +36,7 @@ from bayescal.experiments.audit.page.wording import (
     name_unit,
     say_most,
 )
-from bayescal.experiments.audit.rows import AuditCombinationRow, AuditParameterRow, FreeingStepRow
+from bayescal.experiments.audit.rows import AuditCombinationRow, AuditParameterRow, AuditRequirementRow, FreeingStepRow
 from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.headline import LIKELY
 from bayescal.experiments.shared.knowledge_page import VERDICT_LEVELS
@@ -62,7 +62,7 @@ type Field = tuple[Column, Callable[[Any], str | Cell]]
 
 
 def _tabulate(
-    caption: str, fields: Sequence[Field], items: Iterable[Any], notes: Sequence[str] = (), style: str = ""
+    caption: str, fields: Sequence[Field], items: Iterable[object], notes: Sequence[str] = (), style: str = ""
 ) -> Table:
     """Return a table with a row per item; captions and notes are sentences."""
     rows = [[write(one) for _, write in fields] for one in items]
@@ -229,7 +229,7 @@ def tabulate_sets(results: AuditResults) -> Table | None:
         (Column("RMSE", "", reduced), write_reduced("reduced_true_error", "")),
         (Column("90 % coverage", "", reduced), cover_reduced),
     ]
-    note = "RMSE at deviations of one prior sd (first order)."
+    note = "RMSE at one prior sd (first order)."
     return _tabulate("Predicted sd and RMSE, full and reduced set.", fields, _by_symbol(results), [note])
 
 
@@ -277,7 +277,7 @@ def tabulate_requirements(results: AuditResults) -> Table | None:
         return None
     sd, chance, drawn = "Predicted sd", "Probability to meet it", read_drawn_probabilities(results)
 
-    def mark(r: Any) -> Cell:
+    def mark(r: AuditRequirementRow) -> Cell:
         return _mark("yes", True) if is_met(results, r) else _mark("not reliably", False, "bad")
 
     fields: list[Field] = [

@@ -21,6 +21,7 @@ from bayescal.experiments.audit.rows import PARAMETER_ERROR, AuditRequirementRow
 from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.headline import (
     LIKELY,
+    UNDETERMINED,
     rate_probability,
     say_accuracy,
     say_count,
@@ -83,7 +84,7 @@ def _state_accuracy(results: AuditResults) -> list[str]:
     rows = results.accuracy
     known = [row for row in rows if math.isfinite(row.posterior_sd)]
     if not known:
-        return ["own sensors do not determine the pose"] if rows else []
+        return [UNDETERMINED] if rows else []
     asked = results.summary["units"]
     amounts = {row.coordinate: format_amount(row.posterior_sd, row.unit, 2, asked) for row in known}
     return [f"tool {say_accuracy(amounts)}, rms over the workspace"]

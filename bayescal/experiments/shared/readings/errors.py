@@ -25,7 +25,7 @@ from bayescal.density.components import MOST_ROWS
 from bayescal.density.pose_kernels import OWN, OWN_COLUMNS
 from bayescal.density.priors import Prior
 from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
-from bayescal.errors import InputError, name_faults
+from bayescal.errors import InputError, name_faults, say_unknown
 from bayescal.experiments.shared.function_errors import check_functions
 from bayescal.experiments.shared.readings.noise import group_channels
 from bayescal.experiments.shared.readings.workspace import Workspace
@@ -60,7 +60,7 @@ def build_terms(
     """
     for name in section.error_terms or ():
         if name not in config.error_terms:
-            raise InputError(f"error_terms: found {name!r}, expected some of {', '.join(config.error_terms) or 'none'}")
+            raise InputError(say_unknown("error_terms", name, config.error_terms))
     model, groups, found = whole.pick(chosen), group_channels(config, whole), []
     everywhere = [{one.name, one.kind, group} for one, group in zip(whole.channels, groups, strict=True)]
     for name, one in config.error_terms.items():
@@ -75,8 +75,8 @@ def build_terms(
             with name_failures(choice.found, f"error_terms.{name}"):
                 term = choice.found.build(choice.options, rows)
             check_term(term, data)
-            if isinstance(term, FunctionErrors):
-                check_functions(term, *data.sd.shape)
+            for functions in ErrorModel((term,)).terms_of(FunctionErrors):
+                check_functions(functions, *data.sd.shape)
         found.append(term)
     return tuple(found)
 

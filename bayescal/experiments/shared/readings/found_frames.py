@@ -28,7 +28,8 @@ from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.workspace import build_workspace, search_starts
 from bayescal.experiments.shared.study_schema import StudyConfig
 from bayescal.limits import FAR_AWAY
-from bayescal.machines.readings import FunctionModel, Instrument, InstrumentedMachine, ReadingModel, place
+from bayescal.machines.readings import FunctionModel, Instrument, InstrumentedMachine, ReadingModel
+from bayescal.machines.readings.placed import place_instruments
 from bayescal.numerics.geometry import Array, matrix_from_rotation_vector
 from bayescal.numerics.units import Units
 from bayescal.report.numbers import format_significant, join_words
@@ -110,8 +111,7 @@ def find_frames(
         return FoundFrames(instruments)
     unstated, wide = {name: one.unstated for name, one in instruments.items()}, list_unstated(instruments)
     zero = {name: settle_unstated(one) for name, one in instruments.items()}
-    placed = place(machine, zero)
-    assert isinstance(placed, InstrumentedMachine)
+    placed = place_instruments(machine, zero)
     for symbol in wide:
         if symbol in config.parameters and config.parameters[symbol].prior == "fixed":
             raise InputError(f"parameters.{symbol}: found fixed, expected its value in [instruments]")
@@ -119,13 +119,11 @@ def find_frames(
     search = _Search.prepare(found.free(config), placed, readings, deviations, symbols)
     if search is None:
         for symbol in wide:
-            raise InputError(
-                f"instruments: {symbol}: missing, expected its value, as own channels do not locate the tool"
-            )
+            raise InputError(f"instruments: {symbol}: expected its value: own channels do not locate the tool")
         return found
     values, begin, told = dict[str, Instrument](), dict[str, float](), list[str]()
     for k, (name, one) in enumerate(zip(instruments, placed.instruments, strict=True)):
-        fit = search.fit(k, one, unstated[name])
+        fit = search.fit(k, zero[name], unstated[name])
         if fit is None:
             values[name] = zero[name]
             continue
@@ -248,8 +246,9 @@ class _Search:
         """Return where the parameters of an instrument begin."""
         return self.placed.whole.layout.size + sum(one.layout.size for one in self.placed.instruments[:k])
 
-    def fit(self, k: int, model: FunctionModel, unstated: Collection[str]) -> _InstrumentFit | None:
-        """Return what is found of an instrument; None where nothing is free, or nothing was read."""
+    def fit(self, k: int, instrument: Instrument, unstated: Collection[str]) -> _InstrumentFit | None:
+        """Return what is found of the k-th instrument; None where nothing is free, or nothing was read."""
+        model = self.placed.instruments[k]
         first = sum(len(one.channels) for one in self.placed.instruments[:k])
         seen, noise = (one[:, first : first + len(model.channels)] for one in (self.seen, self.noise))
         rows = np.isfinite(seen).any(axis=1)
@@ -260,8 +259,9 @@ class _Search:
                 raise InputError(f"instruments.{model.name}: found too few rows for {symbol}, expected its value")
             return None
         lost = np.concatenate([model.layout.index[one] for one in unstated] or [np.empty(0, dtype=int)])
-        problem = _Problem(model, self.theta[own], sd, np.isin(np.arange(len(sd)), lost), self.tool[rows], seen[rows])
-        for symbol, why in problem.instrument.list_hidden(self.is_flat).items():
+        is_lost = np.isin(np.arange(len(sd)), lost)
+        problem = _Problem(instrument, model, self.theta[own], sd, is_lost, self.tool[rows], seen[rows])
+        for symbol, why in instrument.list_hidden(self.is_flat).items():
             if symbol in unstated:
                 raise InputError(f"instruments.{model.name}: {_key(symbol, model)}: missing, expected its value: {why}")
         return replace(problem, scale=self._scale(model, noise[rows])).solve()
@@ -341,7 +341,8 @@ def _spread(placed: InstrumentedMachine, theta: Array, sd: Array, located: _Loca
 class _Problem:
     """Least squares of one instrument's D' parameters at tools (R, 6) that are known."""
 
-    model: FunctionModel
+    instrument: Instrument
+    model: FunctionModel  # of the instrument
     stated: Array  # (D',)
     sd: Array  # (D',): of the prior; zero of what is not free
     lost: np.ndarray  # (D',): which nobody states
@@ -352,12 +353,6 @@ class _Problem:
     @property
     def free(self) -> np.ndarray:
         return self.sd > 0.0
-
-    @property
-    def instrument(self) -> Instrument:
-        """The instrument itself."""
-        assert isinstance(self.model.machine, Instrument)
-        return self.model.machine
 
     @cached_property
     def _steps(self) -> Array:

@@ -15,7 +15,7 @@ from bayescal.density.calibration.terms import ErrorModel, ErrorTerm
 from bayescal.density.elimination import project_out
 from bayescal.density.posterior import Posterior
 from bayescal.density.priors import Prior
-from bayescal.errors import InputError, NumericalError, name_faults
+from bayescal.errors import InputError, NumericalError, name_faults, say_unknown
 from bayescal.experiments.runner.results import Summary
 from bayescal.experiments.shared.outlook import describe_determinacy, join_outlooks
 from bayescal.experiments.shared.readings.columns import check_columns, doubt_columns
@@ -342,7 +342,7 @@ def _choose_poses(section: VariantConfig, model: ReadingModel, readings: PoseRea
     """Return which poses a variant takes in; InputError where one lacks what the machine has to know of it."""
     for name in section.require_columns:
         if name not in readings.given:
-            raise InputError(f"require_columns: found {name!r}, expected one of {', '.join(readings.given) or 'none'}")
+            raise InputError(say_unknown("require_columns", name, readings.given))
     known = {name: np.isfinite(value) for name, value in readings.given.items()}
     rows = np.ones(len(readings.poses), dtype=bool)
     for name in section.require_columns:
@@ -364,7 +364,7 @@ def _check_machine(variant: Variant) -> None:
     with np.errstate(all="ignore"):
         there = legs.read(start[: legs.layout.size], legs.home_pose[None])[:, legs.select(legs.commanded)]
     if not np.isfinite(there).all():
-        raise InputError("found no machine at the prior centres, expected unit directions and a home pose")
+        raise InputError("found no machine at prior centres, expected unit directions and a home pose")
 
 
 def _check_moves(data: Measurements) -> None:
@@ -378,9 +378,7 @@ def _check_commanded(commanded: np.ndarray, whole: ReadingModel, model: ReadingM
     """Raise InputError for commanded channels (P, K of the whole machine) that cannot say where a machine stands."""
     for k in np.flatnonzero(commanded.any(axis=0)):
         if (name := whole.names[k]) not in whole.commanded:
-            raise InputError(
-                f"data.commanded_channels: found {name!r}, expected some of {', '.join(whole.commanded) or 'none'}"
-            )
+            raise InputError(say_unknown("data.commanded_channels", name, whole.commanded))
         if name not in model.names:
             raise InputError(f"data.commanded_channels: found {name!r}, expected it in [sensors]")
     q = len(model.coordinates)

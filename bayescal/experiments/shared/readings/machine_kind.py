@@ -6,7 +6,6 @@ import os
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from bayescal.config.load import read_toml
 from bayescal.config.registry import hash_modules
@@ -39,7 +38,7 @@ class MachineExperiment[C: ExperimentConfig, I](Experiment[C, I]):
         return super().modules(config, folder) | hash_modules(own)
 
 
-def look_at_machine(content: Mapping[str, Any], folder: Path) -> tuple[Mechanism | None, list[str]]:
+def look_at_machine(content: Mapping[str, object], folder: Path) -> tuple[Mechanism | None, list[str]]:
     """Return the mechanism that a config names, None for another machine, and what is wrong with the file, in lines.
 
     Whatever else is wrong with the config.

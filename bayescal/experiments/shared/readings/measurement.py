@@ -289,7 +289,7 @@ class InstrumentReader:
 
     def _check_unturned(self, data: PoseDataConfig | PointDataConfig, seen: Sequence[StationObservation]) -> None:
         """Raise InputError for what a machine that does not say how its tool is turned cannot be compared with."""
-        expected = "which does not say how its tool is turned, expected positions of the tool's centre alone"
+        expected = "without a tool rotation, expected positions alone"
         points = any(one.point is not None and one.point.any() for one in seen)
         if points or any(one.point is None and np.isfinite(one.values[:, 3:]).any() for one in seen):
             found = "points beside the tool's centre" if points else "rotations"

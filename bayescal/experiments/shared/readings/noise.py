@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayescal.density.calibration.terms import ErrorTerm, ModelErrorTerm, NoiseFactor
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.shared.readings.priors import spread_over_legs
 from bayescal.experiments.shared.readings.reading_tables import PoseReadings
 from bayescal.experiments.shared.readings.schema import NOISE_UNITS, ChannelConfig
@@ -64,8 +64,7 @@ def build_noise(
     for table, stated in (("noise_factor_log_sd", config.noise_factor_log_sd), ("model_error", config.channel_errors)):
         for name in stated:
             if name not in groups:
-                known = ", ".join(dict.fromkeys(filter(None, groups)))
-                raise InputError(f"{table}: found {name!r}, expected one of {known}")
+                raise InputError(say_unknown(table, name, dict.fromkeys(filter(None, groups))))
     if section.noise_known:
         return ()
     members = {name: np.array([groups[k] == name for k in chosen]) for name in groups}

@@ -57,7 +57,7 @@ def choose_priors(
     for symbol in config.parameters:
         if symbol not in layout.symbols and symbol not in others:
             near = suggest(symbol, known)
-            raise InputError(f"parameters: found {symbol!r}{near}, expected some of {', '.join(layout.symbols)}")
+            raise InputError(f"parameters: found {symbol!r}{near}, expected one of {', '.join(layout.symbols)}")
     free = _choose_free(config.parameters, choice, layout)
     priors: dict[str, Prior] = {}
     fixed: dict[str, float] = {}
@@ -108,7 +108,7 @@ def expand(entry: str, layout: ParameterLayout, field: str) -> tuple[str, ...]:
         return layout.block(entry).names
     if entry in layout.names:
         return (entry,)
-    raise InputError(f"{field}: found {entry!r}, expected some of {', '.join(layout.symbols)}, or a name")
+    raise InputError(f"{field}: found {entry!r}, expected one of {', '.join(layout.symbols)}, or a name")
 
 
 def spread_over_legs(value: float | list[float], n: int, symbol: str, field: str = "parameters") -> list[float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.shared.readings.schema import ReferenceValuesConfig
 from bayescal.files.csv_tables import read_table
 from bayescal.machines.readings import ReadingModel
@@ -56,7 +56,7 @@ def read_beside(section: ReferenceValuesConfig, folder: Path, model: ReadingMode
     factors, units = [], []
     for row, (name, unit) in enumerate(zip(table.text(columns[0]), table.text("unit"), strict=True)):
         if name not in own:
-            raise InputError(f"{table.where(row)}: quantity: found {name!r}, expected some of {', '.join(own)}")
+            raise InputError(say_unknown(f"{table.where(row)}: quantity", name, own))
         if unit not in units_like(own[name]):
             raise InputError(f"{table.where(row)}: unit: found {unit!r}, expected {' or '.join(units_like(own[name]))}")
         factors.append(units_like(own[name])[unit])

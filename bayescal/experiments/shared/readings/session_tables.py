@@ -34,7 +34,6 @@ from bayescal.experiments.shared.readings.measurement import InstrumentReader, I
 from bayescal.experiments.shared.schema import UnitsConfig
 from bayescal.files.atomic import read_json
 from bayescal.files.csv_tables import read_table
-from bayescal.machines.readings import InstrumentedMachine
 from bayescal.numerics.geometry import Array
 from bayescal.numerics.units import MICROMETRE
 from bayescal.report.numbers import join_words
@@ -169,7 +168,7 @@ class SessionTables:
     def _places(self) -> np.ndarray:
         """Where channels of what sees the tool stand among all."""
         model = self.calibrated.model
-        if isinstance(model, InstrumentedMachine) and self.instrument is not None:
+        if self.instrument is not None:
             return np.asarray(model.instrument_places[self.instrument])
         return np.flatnonzero(~np.isin(model.names, model.commanded))
 
@@ -224,13 +223,13 @@ def find_session_tables(
         if (kind := content.get("kind", READINGS)) in TABLES and content.get("name", "") == (instrument or ""):
             section = TABLES[kind].model_validate(content)
             # without a tracker poses are in the base frame: a study that looked for the frames measured others
-            if instrument is not None or isinstance(section, TargetDataConfig) or not section.frames.is_free:
+            if instrument is not None or section.kind == "targets" or not section.frames.is_free:
                 sections.setdefault(kind, section)
     folder = None if experiment is None else experiment.absolute().parent
     if folder is None:
         with suppress(InputError):
             folder = find_config(results, provenance).parent
     poses = sections.get("poses")
-    if noise is None and isinstance(poses, PoseDataConfig) and poses.position_um is not None:
+    if noise is None and poses is not None and poses.kind == "poses" and poses.position_um is not None:
         noise = (poses.position_um, poses.arcseconds)
     return SessionTables(calibrated, instrument, sections, folder, noise)

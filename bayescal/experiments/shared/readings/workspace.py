@@ -13,7 +13,7 @@ import numpy as np
 from bayescal.data.truth import round_as_written
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.density.calibration.poses import PoseElimination, search_poses
-from bayescal.errors import InputError
+from bayescal.errors import InputError, say_unknown
 from bayescal.experiments.shared.schema import UnitsConfig, WorkspaceConfig
 from bayescal.machines.readings import POSE, Given, ReadingModel
 from bayescal.machines.readings.base import draw_points
@@ -126,7 +126,7 @@ def build_workspace(
         return Workspace(model.home_pose - half, model.home_pose + half, scale, given.shape, given.poses)
     for name in given:
         if name not in names:
-            raise InputError(f"workspace: found {name!r}, expected some of {', '.join(names) or 'none'}")
+            raise InputError(say_unknown("workspace", name, names))
     bounds = []
     for one in model.coordinates:
         if one.name in given:
@@ -163,7 +163,7 @@ def check_given(given: Mapping[str, list[float]], model: ReadingModel) -> None:
     """Raise InputError where bounds are missing of what the machine has to know of each pose, or of something else."""
     for name in given:
         if name not in model.given:
-            raise InputError(f"conditions: found {name!r}, expected some of {', '.join(model.given) or 'none'}")
+            raise InputError(say_unknown("conditions", name, model.given))
     for name in model.given:
         if name not in given:
             raise InputError(f"conditions: found no {name}, expected its smallest and largest value")
@@ -198,7 +198,7 @@ def draw_standing(
         pose[there], exact[there] = some[found][first], read[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
             return pose, exact
-    raise InputError("workspace: found few reachable poses, expected a smaller workspace")
+    raise InputError("workspace: few poses in reach, expected a smaller one")
 
 
 def lead_to_contact(

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from bayescal.numerics.geometry import Array
 
 EXACT = "Covariance linearised at nominal; importance weights correct it."
-WIDTHS = "Left: below each variant's own largest log-evidence; right: below the best."
+WIDTHS = "Left: below each variant's largest log-evidence; right: below the best."
 SPREAD = 0.08  # of the axis between the first and the last model at one factor
 TIED = 1.0  # nats
 LEAD = "scale of τ's prior"

@@ -533,7 +533,7 @@ def _check_summary(summary: Summary, path: Path) -> None:
             check_keys(places, dict.fromkeys(places, str), path, f"publication.{key}.")
 
 
-def get_number(content: Mapping[str, Any], key: str) -> float:
+def get_number(content: Mapping[str, object], key: str) -> float:
     """Return a number that may be missing, NaN then."""
     value = content.get(key)
     return float(value) if isinstance(value, NUMBER) else math.nan

@@ -292,7 +292,7 @@ def state_convergence(study: StudyResults) -> list[Statement]:
         text = f"{failed} of {len(fits)} posteriors failed checks."
         return [Statement(text, "bad", "Checks", value=float(failed), limit=0.0)]
     if study.is_preliminary:
-        text = "Preliminary answer by importance sampling; no chain has checked it."
+        text = "Preliminary: importance sampling, no chain."
         return [Statement(text, "warning", "Checks", action='Run with `effort = "standard"` in `[sampler]`.')]
     bulk = min(fit["ess_bulk_min"] for fit in fits)
     numbers = (

@@ -14,6 +14,7 @@ from bayescal.experiments.shared.headline import (
     LIKELY,
     NOT_DISTINGUISHABLE,
     RERUN,
+    UNDETERMINED,
     find_rivals,
     rate_probability,
     say_accuracy,
@@ -105,7 +106,7 @@ def _say_uncertainty(study: StudyResults) -> str:
     every = study.rows(ToolUncertaintyRow, study.chosen)
     known = [row for row in every if math.isfinite(row.posterior_sd)]
     if not known:
-        return "own sensors do not determine the pose" if every else ""
+        return UNDETERMINED if every else ""
     what = "tool" if study.summary.get("states_tool", True) else "coordinates"
     amounts = {row.coordinate: format_amount(row.posterior_sd, row.unit, 2, study.units) for row in known}
     where = "measured poses" if study.summary.get("region") == "measured" else "workspace"
