@@ -22,6 +22,7 @@ TINY = {
     "audit.py --points 2": (),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
+    "jax_read.py --machines own_machine --tiny": ("jax",),
     "likelihood.py --repeats 2": (),
     "lookup_table.py --twins 1": (),
     "memory.py --kinds calibration --sizes 0": (),
