@@ -20,6 +20,8 @@ ROOT = Path(__file__).parents[1]
 TINY = {
     "ablation.py --posteriors skewed": (),
     "audit.py --points 2": (),
+    "fleet.py --machines 2 --ways workers:1 workers:2": (),
+    "fleet.py --machines 2 --ways dask:1": ("distributed",),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
     "jax_read.py --machines own_machine --tiny": ("jax",),
