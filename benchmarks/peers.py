@@ -13,7 +13,9 @@ data see it by a quadratic; ``multimodal``, the same with twice the tolerance of
 - bayescal: exploration, burn-in, four ensembles, all timed; evidence by importance sampling from what was explored.
 - NUTS (NumPyro): full mass matrix, started at draws of bayescal's posterior; with and without its warm-up. ``nuts`` has
   NumPyro's defaults, which add to the variances found; ``nuts_exact`` leaves them as they are (an option of NumPyro);
-  ``nuts_whitened`` is given the covariance of bayescal's draws as coordinates, the most that one could do for it.
+  ``nuts_whitened`` is given the covariance of bayescal's draws as coordinates; ``nuts_straight`` the straight ones
+  that bayescal explores and samples in (`jax_straight.py`), whitened by its proposal's main component, with a full mass
+  matrix or a diagonal one; the rows of these two carry their warm-up, for a shorter one may do.
 - Stretch move (emcee): started there too; its effective draws are an upper bound (it starts at draws of the posterior).
 - Nautilus and dynesty: evidence from the prior, cut after so many seconds. dynesty, which takes one vector at a time,
   has the likelihood compiled by JAX.
@@ -41,10 +43,12 @@ from telescope_problem import RESULTS, write_results
 import numpy as np
 
 
-NUTS = {  # whether variances are regularised, whether the posterior's covariance is given
-    "nuts": (True, False),
-    "nuts_exact": (False, False),
-    "nuts_whitened": (True, True),
+NUTS = {  # whether variances are regularised, whether the mass matrix is full, the coordinates
+    "nuts": (True, True, "z"),
+    "nuts_exact": (False, True, "z"),
+    "nuts_whitened": (True, True, "whitened"),
+    "nuts_straight": (True, True, "straight"),
+    "nuts_straight_diagonal": (True, False, "straight"),
 }
 SAMPLERS = (*NUTS, "stretch")
 PEERS = (*SAMPLERS, "nautilus", "dynesty", "least_squares")
@@ -55,11 +59,11 @@ def compare(name: str, options: argparse.Namespace) -> dict[str, Any]:
     """Return the figures of bayescal and of the peers asked for on one posterior."""
     problem, posterior = BUILD[name]()
     density = PlainDensity(posterior)
-    ours, modes, z = run_bayescal(posterior, options.steps)
+    ours, found, z = run_bayescal(posterior, options.steps)
     start, best = z[0, 0], float(density(z.reshape(-1, density.n)).max())
     rows: dict[str, dict[str, Any]] = {"bayescal": ours}
     runs = {
-        peer: partial(run_nuts, problem, posterior, modes, z, options.warm_up, options.draws, *how)
+        peer: partial(run_nuts, problem, posterior, found, z, options.warm_up, options.draws, *how)
         for peer, how in NUTS.items()
     }
     runs["stretch"] = partial(run_stretch, density, z, options.seconds)
@@ -69,18 +73,19 @@ def compare(name: str, options: argparse.Namespace) -> dict[str, Any]:
     runs["least_squares"] = partial(run_least_squares, density, best, options.seconds)
     for peer in options.peers:
         before = time_bayescal(posterior, options.steps, BESIDE) if peer in SAMPLERS else []
-        rows[peer] = runs[peer]()
+        key = f"{peer}_{options.warm_up}" if peer.startswith("nuts_straight") else peer
+        rows[key] = runs[peer]()
         if peer in SAMPLERS:
             beside = before + time_bayescal(posterior, options.steps, BESIDE)
-            rows[peer] |= compare_rates(ours, rows[peer], beside)
-        print(name, peer, json.dumps(rows[peer]), flush=True)
+            rows[key] |= compare_rates(ours, rows[key], beside)
+        print(name, key, json.dumps(rows[key]), flush=True)
     return {"n_parameters": density.n, **rows}
 
 
 def report(name: str, rows: dict[str, Any]) -> None:
     """Print a posterior's table."""
     print(
-        f"\n{name}\n{'':14}{'min ESS':>9}{'R-hat':>8}{'seconds':>9}{'per s':>9}{'ratio':>9}{'no warm-up':>11}  evidence"
+        f"\n{name}\n{'':28}{'min ESS':>9}{'R-hat':>8}{'seconds':>9}{'per s':>9}{'ratio':>9}{'no warm-up':>11}  evidence"
     )
     for peer, row in rows.items():
         if not isinstance(row, dict):
@@ -88,7 +93,7 @@ def report(name: str, rows: dict[str, Any]) -> None:
         ess = row.get("min_bulk_ess", row.get("ess_at_most", np.nan))
         keys = ("max_rhat", "seconds", "ess_per_second", "ratio", "ratio_warm_up_free", "ratio_both_prepared")
         text = "".join(f"{x:9.4g}" for x in (ess, *(row.get(key, np.nan) for key in keys)))
-        print(f"{peer:14}{text}  {_describe(row)}", flush=True)
+        print(f"{peer:28}{text}  {_describe(row)}", flush=True)
 
 
 def _describe(row: dict[str, Any]) -> str:
@@ -125,8 +130,9 @@ def main() -> None:
     for name in options.posteriors:
         found[name] = found.get(name, {}) | compare(name, options)
         report(f"{name}: {found[name]['n_parameters']} parameters", found[name])
-    packages = ("numpy", "scipy", "emcee", "jax", "numpyro", "dynesty", "nautilus-sampler")
-    print(write_results(options.name, found, packages).name)
+    optional = {"dynesty": "dynesty", "nautilus": "nautilus-sampler"}
+    packages = ["numpy", "scipy", "emcee", "jax", "numpyro", *(optional[k] for k in options.peers if k in optional)]
+    print(write_results(options.name, found, tuple(packages)).name)
 
 
 if __name__ == "__main__":

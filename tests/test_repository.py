@@ -21,14 +21,21 @@ ROOT = Path(__file__).parents[1]
 TINY = {
     "ablation.py --posteriors skewed": (),
     "audit.py --points 2": (),
+    "fleet.py --machines 2 --ways workers:1 workers:2": (),
+    "fleet.py --machines 2 --ways dask:1": ("distributed",),
     "growth.py --what audit --most 20": (),
     "hexapod_calibrations.py --alone 1": (),
+    "jax_read.py --machines own_machine --tiny": ("jax",),
     "likelihood.py --repeats 2": (),
     "lookup_table.py --twins 1": (),
     "memory.py --kinds calibration --sizes 0": (),
     "next_pose.py --twins 1 --poses 10": (),
-    "peers.py --posteriors lengths --seconds 1 --steps 5 --warm-up 50 --draws 50 --live 50": (
+    "peers.py --posteriors lengths --seconds 1 --steps 5 --warm-up 50 --draws 50 --live 50"
+    " --peers nuts nuts_exact nuts_whitened stretch nautilus dynesty least_squares": (
         *("jax", "numpyro", "dynesty", "nautilus"),
+    ),
+    "peers.py --posteriors ridge --peers nuts_straight nuts_straight_diagonal --steps 5 --warm-up 50 --draws 50": (
+        *("jax", "numpyro"),
     ),
     "peers_machines.py --machines flsun_v400 --peers bayescal klipper scipy --effort quick": (),
     "peers_machines.py --machines ur10 mmt_mount --peers scipy": (),
@@ -39,7 +46,7 @@ TINY = {
     "slips.py --studies 1 --machines hexaglide --slips clean unit": (),
 }
 """By command: what it needs that the tests do not."""
-PARTS = {"jax_density", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
+PARTS = {"jax_density", "jax_straight", "peers_evidence", "peers_posteriors", "peers_sampling", "telescope_problem"}
 
 OF_PEERS = {"astropy", "dynesty", "figaroh", "jax", "nautilus", "numpyro"}
 OF_PEERS |= {"pytelpoint", "robotkinecal", "roboticstoolbox", "yaml"}
