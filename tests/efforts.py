@@ -11,8 +11,12 @@ LITTLE = {
     "inference.exploration.MAX_PILOTS": 0,
     "inference.exploration.MAX_ROUNDS": 0,
     "inference.exploration.TRIAL_DRAWS": 100,
+    "inference.exploration.PILOT_BURN_IN": 10,  # of chains whose clusters stand beside a proposal with heavy tails
+    "inference.exploration.PILOT_STEPS": 20,
+    "inference.mode.N_SCATTERED": 1,
     "inference.chain_checks.N_DRAWS": 500,  # draws from farther out, which look for what the proposal lacks
     "inference.leave_one_out.MAX_REFITS": 0,  # unreliable rows keep what their weights say
+    "experiments.study.readings.POSE_DRAWS": 50,
     "experiments.shared.slip_search.FINAL": 3,  # few of what may have happened to readings are fitted
     "experiments.shared.slip_search.EACH": 1,
 }
