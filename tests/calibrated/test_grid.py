@@ -82,7 +82,7 @@ def test_a_drawing_that_is_no_longer_known_is_said(tmp_path):
     assert len(table) == 3**6
     assert "Interpolated linearly the file carries" in said[0]
     settled = replace(found, drawn=None)
-    assert "expected the results of a study" in line_of(lambda: export_machine(settled, tmp_path / "again", "grid"))
+    assert "expected results of a study" in line_of(lambda: export_machine(settled, tmp_path / "again", "grid"))
 
 
 def test_a_workspace_out_of_reach_is_said(tmp_path):

@@ -407,7 +407,7 @@ def test_noise_has_the_spread_that_is_stated(place):
 
 
 def test_a_workspace_out_of_reach_is_told(place):
-    with pytest.raises(NumericalError, match="cannot take"):
+    with pytest.raises(NumericalError, match="out of the calibrated machine's reach"):
         replace(place[0], pose=place[0].pose + 1e5).find_largest(REQUIREMENTS, place[1])
 
 

@@ -111,7 +111,7 @@ FAULTS = {
     "mimic": (
         '<axis xyz="0 0 -1"/>',
         '<axis xyz="0 0 -1"/><mimic joint="turn"/>',
-        "found a joint that follows another",
+        "found a joint that mimics another",
     ),
     "floating": (
         '"continuous"',

@@ -128,7 +128,7 @@ class Store:
             raise InputError(f"{self.partial}: found no interrupted run; remove it")
         for path in there:
             if not _is_ours(path) and path.name != STAGED:
-                raise InputError(f"{path}: no file of a run; move it")
+                raise InputError(f"{path}: found no file of a run; move it")
 
     # --- tasks ---------------------------------------------------------------------------------------------------
 

@@ -534,15 +534,15 @@ def format_actuators(names: tuple[str, ...], verification: np.ndarray, actuators
         (pose, "verification" if held else "calibration", *(f"{x:.{TARGET_DECIMALS}f}" for x in position))
         for pose, held, position in zip(names, verification, actuators, strict=True)
     ]
-    text = "Actuator positions rho in mm; displacements from the initial positions."
+    text = "Actuator positions rho in mm; displacements are counted from the initial positions of the mechanism."
     return format_table([origin, text], ("pose", "use", *name_actuators(actuators.shape[1])), rows)
 
 
 def format_truth(twin: Twin, poses: Array) -> dict[str, str]:
     """Return the texts of two CSV files by their names: the twin's true parameters, and true poses (P, 6)."""
     origin = twin.config.provenance.text
-    about_parameters = "True parameters of the surveyed machine."
-    about_poses = "True platform poses in the base frame: position, rotation vector."
+    about_parameters = "True parameters of the machine that the survey is of."
+    about_poses = "True poses of the platform frame in the base frame at the survey: position, rotation vector."
     return {
         PARAMETERS_FILE: format_true_parameters([origin, about_parameters], twin.legs.layout, twin.theta),
         POSES_FILE: format_true_poses([origin, about_poses], POSE_COORDINATES, twin.names, poses),
@@ -572,12 +572,12 @@ def _format_targets(poses: Sequence[str], measured: Sequence[BodyTargets], origi
     ]
     return {
         "targets.csv": format_table(
-            [origin, "Targets in each pose's measurement frame; mm."],
+            [origin, "Targets in the measurement frame, which differs from pose to pose; coordinates in mm."],
             TARGET_COLUMNS,
             rows,
         ),
         "target_reference.csv": format_table(
-            [origin, ("Targets in body frames, mm; leg 0: rigid part, leg i: its pad.")],
+            [origin, ("Targets on their bodies, body frames, in mm; leg 0: rigid part, leg i: pad of leg i's joint.")],
             REFERENCE_COLUMNS,
             reference,
         ),
@@ -597,7 +597,7 @@ def _format_poses(
         columns += VALUES[3:]
         values = np.concatenate([position, np.degrees(rotation_vector_from_matrix(turned))], axis=1)
         deviations |= {f"sd_r{axis}_urad": round(sd / MICRORADIAN, 6) for axis in "xyz"}
-    comments = [origin, ("Probe poses in the instrument's frame: mm, rotation vector in degrees.")]
+    comments = [origin, ("Pose of the probe in the instrument's frame: position in mm, rotation vector in degrees.")]
     rows = [(name, *(f"{x:.8f}" for x in one), *deviations.values()) for name, one in zip(names, values, strict=True)]
     return format_table(comments, ["pose", *columns, *deviations], rows)
 
@@ -626,7 +626,7 @@ def _format_points(
         if there[s, p, q]
         for r, azimuth, elevation in [reading[s, p, q]]
     ]
-    comments = [origin, ("Platform points from stations: range in mm, azimuth and elevation in degrees.")]
+    comments = [origin, ("Points on the platform as stations see them: range in mm, azimuth and elevation in degrees.")]
     return format_table(comments, ["pose", "station", "point", *POLAR], rows)
 
 

@@ -84,7 +84,7 @@ CAMERA = {
     "extends another folder's": ('extends = "../base.toml"', "expected a config in the same directory"),
 }
 TELESCOPE = {
-    "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*some of a_x"),
+    "unknown parameter": ('[parameters]\nq_x = { prior = "normal", sd = 1.0 }', "found 'q_x'.*one of a_x"),
     "unknown sensor in a what-if": (
         '[[scenarios]]\nname = "w"\nsensors = ["theodolite"]',
         "sensor 'theodolite': expected",

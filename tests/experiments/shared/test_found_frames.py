@@ -213,5 +213,5 @@ def test_what_own_channels_do_not_tell_has_to_be_stated(rng):
     one = PointInstrument(PointInstrument.Config())
     readings, sd = read(machine, {"seen": one}, {"seen": {"frame": FRAME[0], "frame_r": FRAME[1]}}, rng)
     readings.values[:, 0] = np.nan
-    with pytest.raises(InputError, match="instruments: seen_frame: missing"):
+    with pytest.raises(InputError, match="instruments: seen_frame: expected its value"):
         find_frames(make_config(machine), machine, {"seen": one}, readings, sd, ())

@@ -17,7 +17,7 @@ import studies
 from bayescal.density.calibration.likelihood import CalibrationPosterior
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.study_schema import StudyConfig
-from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey, survey_twin
+from bayescal.experiments.simulation.compute import Twin, build_twin, format_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.inference.ensemble import run_ensemble
 from bayescal.inference.exploration import explore
@@ -54,7 +54,7 @@ class Shipped:
 
     def survey(self, theta: np.ndarray, seed: int) -> None:
         """Put a survey of a machine instead of the shipped one."""
-        survey = survey_twin(self.twin, np.random.default_rng(seed), theta)[0]
+        survey = self.twin.seen.survey(self.twin, np.random.default_rng(seed), theta)[0]
         studies.write_texts(self.folder / "data", format_survey(survey, "Simulated for the tests"))
 
     def infer(self, theta: np.ndarray, seed: int, name: str = "study") -> Outcome:

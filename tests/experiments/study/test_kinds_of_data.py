@@ -111,7 +111,7 @@ def test_poses_of_any_machine_are_what_an_instrument_beside_it_sees(arm):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("frames.base", "frames.tool"), r"data\.frames\.tool: found it for a machine which does not say how its tool"),
+        (("frames.base", "frames.tool"), r"data\.frames\.tool: found it for a machine without a tool rotation"),
         (("pose,use", "pose,rx_deg,use"), r"poses\.csv: found rotations for a machine"),
         (("[sensors]", POSES + "\n[sensors]"), "data: found two tables with frames named ''"),
         (("[sensors]", '[[data]]\nfile = "readings.csv"\nignore = ["seen_x_mm", "seen_y_mm", "seen_z_mm"]\n[sensors]'),

@@ -13,7 +13,7 @@ from shares import run_rest
 from bayescal.errors import InputError
 from bayescal.experiments.runner.load import load_experiment
 from bayescal.experiments.shared.slips import CORRECTED
-from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
+from bayescal.experiments.simulation.compute import build_twin, format_survey
 from bayescal.experiments.study.inputs import StudyInputs
 
 type Rows = list[list[str]]
@@ -71,7 +71,7 @@ def test_no_clean_twin_is_suspected(drawn, seed, tmp_path):
     theta = twin.theta.copy()
     lengths = twin.machine.layout.index["l"]
     theta[lengths] = twin.machine.layout.nominal[lengths] + rng.normal(0.0, 2.0, len(lengths))
-    survey = survey_twin(twin, rng, theta)[0]
+    survey = twin.seen.survey(twin, rng, theta)[0]
     studies.write_texts(
         tmp_path, {f"data/{n}": text for n, text in format_survey(survey, config.provenance.text).items()}
     )

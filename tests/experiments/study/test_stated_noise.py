@@ -17,7 +17,7 @@ from bayescal.experiments.runner.run import run_experiment
 from bayescal.experiments.shared.readings.errors import drop_model_error
 from bayescal.experiments.shared.slip_causes import NOISE, SCATTER
 from bayescal.experiments.shared.soundness import ChiSquare, measure_pulls
-from bayescal.experiments.simulation.compute import build_twin, format_survey, survey_twin
+from bayescal.experiments.simulation.compute import build_twin, format_survey
 from bayescal.experiments.study.inputs import StudyInputs
 from bayescal.experiments.study.readings import ReadingSubject
 from bayescal.inference.exploration import explore
@@ -37,7 +37,8 @@ def draw_survey(folder: Path, seed: int) -> None:
         text = re.sub(rf"^{symbol} = .*$", f"{symbol} = {[float(x) for x in values]}", text, flags=re.MULTILINE)
     (folder / "simulate.toml").write_text(text)
     config = load_experiment(folder / "simulate.toml")
-    survey = survey_twin(build_twin(config, folder), np.random.default_rng(seed))[0]
+    twin = build_twin(config, folder)
+    survey = twin.seen.survey(twin, np.random.default_rng(seed))[0]
     for name, table in format_survey(survey, config.provenance.text).items():
         (folder / "data" / name).write_text(table)
 

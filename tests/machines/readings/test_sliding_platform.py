@@ -120,7 +120,7 @@ def test_select_takes_kinds_and_names_in_the_machines_order():
         "phi[2]",
     ]
     for name in ("s[5]", "phi0", "S"):
-        with pytest.raises(InputError, match=r"some of s\[1\]"):
+        with pytest.raises(InputError, match=r"one of s\[1\]"):
             model.select(["s", name])
 
 
