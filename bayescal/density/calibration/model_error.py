@@ -354,6 +354,12 @@ class GPTerm(ErrorTerm):
         return TermDerivatives(columns=share * float(prior.slope(zeta[0])) * self.act(data)[None])
 
 
+def count_columns(sort: str, n_own: int) -> int:
+    """Return at most how many columns functions of a sort, or errors of single rows, have for so many own channels."""
+    by_own = {"random": 0, "linear": n_own, "positioning": OWN_COLUMNS, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}
+    return n_own * by_own[sort]
+
+
 @dataclass(frozen=True, eq=False)
 class LowRankGPTerm(GPTerm):
     """The same of few columns; what these leave out is independent from row to row.
@@ -368,8 +374,7 @@ class LowRankGPTerm(GPTerm):
     @property
     def most_columns(self) -> int:
         """At most how many columns it has."""
-        n = len(self.own.places)
-        return n * {"linear": n, "positioning": OWN_COLUMNS, "smooth": MOST_SMOOTH, "drift": MOST_DRIFT}[self.sort]
+        return count_columns(self.sort, len(self.own.places))
 
     @cached_property
     def functions(self) -> PoseFunctions:

@@ -19,10 +19,10 @@ from bayescal.density.calibration.model_error import (
     OwnChannelRows,
     RandomTerm,
     build_model_error,
+    count_columns,
 )
 from bayescal.density.calibration.terms import ErrorModel, ErrorTerm, TermRows, check_term
 from bayescal.density.components import MOST_ROWS
-from bayescal.density.pose_kernels import OWN, OWN_COLUMNS
 from bayescal.density.priors import Prior
 from bayescal.density.schema import TERMS, ModelErrorConfig, TermName
 from bayescal.errors import InputError, name_faults, say_unknown
@@ -184,11 +184,12 @@ def build_terms_of_model(
 
 
 def _suits_few(terms: Sequence[str], n_own: int, n_equations: int) -> bool:
-    """Return whether functions of so many own channels are made of few columns: their density then costs less."""
-    if n_equations > MOST_ROWS:
-        return True
-    columns = {"random": 0, "linear": n_own**2, OWN: n_own * OWN_COLUMNS}  # of others few columns leave something out
-    return set(terms) <= set(columns) and sum(columns[name] for name in terms) < n_equations / 2
+    """Return whether functions of so many own channels are made of few columns: their density then costs less.
+
+    A covariance of M equations takes M³ / 3 products, N columns M N². What columns leave out of smooth functions counts
+    as independent from row to row.
+    """
+    return n_equations > MOST_ROWS or sum(count_columns(name, n_own) for name in terms) < n_equations / 2
 
 
 def find_own_channels(
