@@ -1,7 +1,8 @@
 """How time and memory grow with poses, legs, parameters and candidates: each point a process of its own.
 
-    python benchmarks/growth.py [--what hexapod own poses audit legs parameters candidates calibration sliding_platform]
-                                [--most 10000] [--write benchmarks/results/growth.json]
+    python benchmarks/growth.py [--what hexapod own poses audit legs parameters candidates calibration sliding_platform
+                                        rows channels variants]
+                                [--most 10000] [--write benchmarks/results/growth.json] [--picture FILE.png]
 
 - ``hexapod``, ``own``: the study that `bayescal init` writes, of legs by poses and of a machine of one function, with
   its effort and so many simulated rows, a tenth of them held back; beside them what the run says first that it
@@ -13,12 +14,16 @@
 - ``parameters``: 50 struts with one to six parameters each, 80 poses;
 - ``candidates``: exchange and O1 out of as many candidates, 42 parameters;
 - ``calibration``: a hexapod under its weight by its encoders and a tracker's poses, one variant of 30 parameters;
-- ``sliding_platform``: a planar platform by its own readings at as many poses, four variants of 18 to 28 parameters.
+- ``sliding_platform``: a planar platform by its own readings at as many poses, four variants of 18 to 28 parameters;
+- ``rows``: `examples/own_machine`, a machine of one function with 14 parameters, one variant, at as many rows;
+- ``variants``: the same with 25 rows and as many variants, in which none, one or two of its parameters are fixed;
+- ``channels``: a point in the plane that as many wires measure, a machine of one function with six parameters, 40 rows.
 
 Seconds are CPU of the process, reading of Python's modules left out; memory is the largest resident size, with and
 without what an empty process takes. An exponent is the slope of log over log between the two largest sizes, and a
 least-squares one over all. Machines and readings are simulated with small effort (``EFFORT``): what is fixed by the
-effort and not by the size is small beside what grows.
+effort and not by the size is small beside what grows. ``--picture`` draws whole studies by rows, parameters, channels
+and variants, as far as the file of figures has them.
 """
 
 from __future__ import annotations
@@ -30,10 +35,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from itertools import combinations
 from pathlib import Path
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
+os.environ["BAYESCAL_TRUST"] = "1"  # machines of one function are files of their own
 
 import numpy as np  # noqa: E402 - after the number of threads is set
 
@@ -47,7 +54,59 @@ SIZES = {
     "candidates": (2000, 20_000, 200_000),
     "calibration": (30, 100, 300, 1000),
     "sliding_platform": (64, 128, 256, 512),
+    "rows": (30, 100, 300, 1000),
+    "channels": (3, 6, 12, 24, 48),
+    "variants": (1, 3, 10, 30, 100),
 }
+PICTURED = ("rows", "parameters", "channels", "variants")
+OWN_MACHINE = Path(__file__).parents[1] / "examples" / "own_machine"
+WIRES = '''
+"""A point in the plane whose distance from points on an ellipse is measured by wires."""
+
+import numpy as np
+
+from bayescal import Channel, Coordinate, ParameterBlock, ReadingMachine, Section
+
+
+class WiresConfig(Section):
+    wires: int
+
+
+class Wires(ReadingMachine):
+    Config = WiresConfig
+
+    def __init__(self, config):
+        angle = 2.0 * np.pi * np.arange(config.wires) / config.wires
+        self.cosine, self.sine = np.cos(angle), np.sin(angle)
+        nominal = {"r_x": 500.0, "r_y": 500.0, "c_x": 0.0, "c_y": 0.0, "zero": 0.0}
+        self.parameters = [ParameterBlock(name, (value,), per_leg=False) for name, value in nominal.items()]
+        self.parameters.append(ParameterBlock("gain", (1.0,), "1", per_leg=False))
+        self.coordinates = [Coordinate("x", "mm", 0.0, 200.0), Coordinate("y", "mm", 0.0, 200.0)]
+        self.channels = [Channel(f"w[{k}]", "mm", external=True) for k in range(1, config.wires + 1)]
+
+    def read(self, p, v, given):
+        x = v[..., 0, None] - p["c_x"][..., None] - p["r_x"][..., None] * self.cosine
+        y = v[..., 1, None] - p["c_y"][..., None] - p["r_y"][..., None] * self.sine
+        return p["gain"][..., None] * np.sqrt(x * x + y * y) - p["zero"][..., None]
+'''
+OF_WIRES = """
+machine = "machine.toml"
+
+[provenance]
+status = "simulated"
+text = "never measured"
+
+[sensors]
+w = { noise_um = 10.0 }
+
+[parameters]
+r_x = { prior = "normal", sd = 0.5 }
+r_y = { prior = "normal", sd = 0.5 }
+c_x = { prior = "normal", sd = 0.5 }
+c_y = { prior = "normal", sd = 0.5 }
+zero = { prior = "normal", sd = 0.5 }
+gain = { prior = "normal", sd = 0.001 }
+"""
 SYMBOLS = ("l", "a_x", "a_y", "b_x", "b_y", "b_z", "a_z")
 SAMPLING = """
 [sampler]
@@ -244,6 +303,43 @@ def write_project(folder: Path, machine: str, n_rows: int) -> Path:
     return folder / "study.toml"
 
 
+def write_own_machine(folder: Path, n_rows: int, n_variants: int) -> Path:
+    """Write the study of the example's machine with so many rows, a tenth of them held back, and variants."""
+    import memory
+
+    for name in ("machine.toml", "linear_delta.py"):
+        shutil.copy(OWN_MACHINE / name, folder)
+    simulation, n_held = (OWN_MACHINE / "simulate.toml").read_text(), n_rows // 10
+    simulation = simulation.replace("\nn_poses = 25", f"\nn_poses = {n_rows - n_held}")
+    simulation = simulation.replace("n_verification_poses = 5", f"n_verification_poses = {n_held}")
+    (folder / "simulate.toml").write_text(simulation)
+    memory.simulate(folder / "simulate.toml", folder / "data")
+    names = [*(f"{symbol}[{k}]" for symbol in ("x", "y", "l", "s0") for k in (1, 2, 3)), "t_x", "t_y"]
+    fixed = [one for count in range(3) for one in combinations(names, count)][:n_variants]
+    assert len(fixed) == n_variants
+    variants = [f'[[variants]]\nname = "v{k}"\nfixed = {json.dumps(one)}\n' for k, one in enumerate(fixed)]
+    path, study = folder / "study.toml", (OWN_MACHINE / "study.toml").read_text()
+    path.write_text(study.partition("\n[[variants]]")[0] + "\n" + "\n".join(variants) + EFFORT)
+    return path
+
+
+def write_wires(folder: Path, n_channels: int) -> Path:
+    """Write the study of a point that so many wires measure."""
+    import memory
+
+    (folder / "wires.py").write_text(WIRES)
+    machine = f'kind = "wires.py:Wires"\nname = "wires"\ntitle = "Wires"\n[machine]\nwires = {n_channels}\n'
+    (folder / "machine.toml").write_text(machine)
+    head = f'name = "wires"\ntitle = "Wires"\nseed = 1\n{OF_WIRES}'
+    simulation = 'kind = "simulation"\nn_poses = 36\nn_verification_poses = 4\n'
+    (folder / "simulate.toml").write_text(simulation + head)
+    memory.simulate(folder / "simulate.toml", folder / "data")
+    path = folder / "study.toml"
+    data = '[[data]]\nfile = "data/readings.csv"\n\n[[variants]]\nname = "all"\n'
+    path.write_text(f'kind = "study"\n{head}\n{data}{EFFORT}')
+    return path
+
+
 def write_point(folder: Path, what: str, size: int) -> Path:
     """Write the experiment of one point; return its config."""
     import memory  # which has machines of this file for other kinds
@@ -258,6 +354,12 @@ def write_point(folder: Path, what: str, size: int) -> Path:
         return memory.write_calibration(folder, size, SAMPLING)
     if what == "sliding_platform":
         return memory.write_sliding_platform(folder, size, SAMPLING)
+    if what == "rows":
+        return write_own_machine(folder, size, 1)
+    if what == "variants":
+        return write_own_machine(folder, 28, size)
+    if what == "channels":
+        return write_wires(folder, size)
     if what == "legs":
         return write_study(folder, size, 40, SYMBOLS[:3])
     if what == "parameters":
@@ -300,6 +402,26 @@ def fit_exponents(points: list[dict]) -> dict[str, float]:
     return found
 
 
+def draw(figures: dict[str, dict], path: Path) -> None:
+    """Draw seconds and memory by what whole studies have more of, log over log."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 2)
+    for axis, key, label in zip(axes, ("cpu_s", "own_mib"), ("CPU, s", "memory beyond the process, MiB"), strict=True):
+        for what, marker in zip(PICTURED, "os^D", strict=True):
+            points = [one for one in figures.get(what, {}).get("points", []) if "failed" not in one]
+            if points:
+                power = f"{what}, power {figures[what][f'{key}_last']:.1f}" if len(points) > 1 else what
+                axis.loglog([one["size"] for one in points], [one[key] for one in points], marker=marker, label=power)
+        axis.set(xlabel="number", ylabel=label)
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path, dpi=90)
+
+
 def main() -> None:
     """Measure, print a table, and keep it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -308,7 +430,9 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=200_000, help="largest size")
     parser.add_argument("--limit", type=float, default=600.0, help="seconds for one point")
     parser.add_argument("--write", type=Path, help="JSON file for the figures; what stands there of others is kept")
+    parser.add_argument("--picture", type=Path, help="PNG of rows, parameters, channels and variants")
     options = parser.parse_args()
+    figures: dict[str, dict] = {}
     for what in options.what:
         points = []
         print(f"{what:>12}{'CPU s':>9}{'MiB':>8}{'own':>8}")
@@ -319,9 +443,13 @@ def main() -> None:
             print(f"{size:12d}{said}  {more}", flush=True)
         exponents = fit_exponents(points)
         print("   exponents: " + ", ".join(f"{name} {value:.2f}" for name, value in exponents.items()))
+        figures[what] = {"points": points, **exponents}
         if options.write is not None:
             known = json.loads(options.write.read_text()) if options.write.exists() else {}
-            options.write.write_text(json.dumps(known | {what: {"points": points, **exponents}}, indent=1) + "\n")
+            figures = known | figures
+            options.write.write_text(json.dumps(figures, indent=1) + "\n")
+    if options.picture is not None:
+        draw(figures, options.picture)
 
 
 if __name__ == "__main__":

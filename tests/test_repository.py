@@ -24,6 +24,7 @@ TINY = {
     "fleet.py --machines 2 --ways workers:1 workers:2": (),
     "fleet.py --machines 2 --ways dask:1": ("distributed",),
     "growth.py --what audit --most 20": (),
+    "growth.py --what channels variants --most 3 --write growth.json --picture growth.png": (),
     "hexapod_calibrations.py --alone 1": (),
     "jax_read.py --machines own_machine --tiny": ("jax",),
     "likelihood.py --repeats 2": (),
