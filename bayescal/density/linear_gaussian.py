@@ -53,7 +53,7 @@ def factorise(covariance: Array) -> Array:
 def solve_factor(factor: Array, rows: Array, transposed: bool = False) -> Array:
     """Return L⁻¹ X, or L⁻ᵀ X where it is to be transposed, of lower factors (..., n, n).
 
-    Rows X are (..., n, k) each, or (n, k) for all.
+    Rows X are (..., n, k) each, or what can be broadcast to that, as (n, k) for all.
     """
     if not factor.size:
         return np.zeros((*factor.shape[:-2], *rows.shape[-2:]))
@@ -61,12 +61,12 @@ def solve_factor(factor: Array, rows: Array, transposed: bool = False) -> Array:
         factor = np.swapaxes(factor, -1, -2) if transposed else factor
         many = rows.shape[-1] > factor.shape[-1]
         return np.asarray(np.linalg.inv(factor) @ rows if many else np.linalg.solve(factor, rows))
+    found = np.empty((*factor.shape[:-2], *rows.shape[-2:]))
+    found[...] = rows
     flat = factor.reshape(-1, *factor.shape[-2:])
-    found = np.empty((len(flat), *rows.shape[-2:]))
-    found[:] = rows.reshape(-1, *rows.shape[-2:])
-    for own, row in zip(flat, found, strict=True):
+    for own, row in zip(flat, found.reshape(-1, *rows.shape[-2:]), strict=True):
         row[:] = dtrtrs(own, row, lower=1, trans=int(transposed))[0]
-    return found.reshape(*factor.shape[:-2], *rows.shape[-2:])
+    return found
 
 
 def whiten(covariance: Array, rows: Array) -> tuple[Array, Array]:

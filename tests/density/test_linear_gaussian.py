@@ -145,6 +145,8 @@ def test_factors_are_lower_and_solve(n, rng):
     assert factor @ np.swapaxes(factor, -1, -2) == pytest.approx(covariance, **CLOSE)
     assert factor @ solve_factor(factor, rows) == pytest.approx(rows, **CLOSE)
     assert np.swapaxes(factor, -1, -2) @ solve_factor(factor, rows, transposed=True) == pytest.approx(rows, **CLOSE)
+    twice = np.stack([factor, 2.0 * factor])  # the same rows for both
+    assert twice @ solve_factor(twice, rows) == pytest.approx(np.stack([rows, rows]), **CLOSE)
     inverse, solved = invert(covariance.copy(), rows[..., 0])
     assert np.triu(inverse) == pytest.approx(np.triu(np.linalg.inv(covariance)), **CLOSE)
     assert covariance @ solved[..., None] == pytest.approx(rows[..., :1], **CLOSE)

@@ -101,7 +101,7 @@ class PlannedPosesConfig(Section):
     def _check_one(self) -> Self:
         files = (self.file is not None) + (self.configurations is not None)
         if self.sampling == "file" and (files != 1 or self.count is not None):
-            raise ValueError("expected count, file or configurations")
+            raise ValueError("expected one of count, file and configurations")
         if self.sampling != "file" and (files or self.count is None):
             raise ValueError(f"expected count, no file, for sampling {self.sampling!r}")
         if self.unit_mm != 1.0 and self.configurations is None:

@@ -262,7 +262,7 @@ def _draw_poses(measured: MeasuredReadings, n: int, rng: np.random.Generator) ->
         found = np.concatenate([found, pose[np.isfinite(read).all(axis=-1)]])
         if len(found) >= n:
             return found[:n]
-    raise InputError("workspace: few poses in reach, expected a smaller one")
+    raise InputError("workspace: found few poses in reach, expected a smaller one")
 
 
 def _list_candidates(

@@ -105,7 +105,8 @@ def _check_reference(config: TableConfig, variant: Variant) -> dict[str, float]:
     """Return the reference, for what the machine has to know in the machine's order."""
     known = variant.whole.given
     if not known:
-        raise InputError(f"axes: found {', '.join(config.axes)}, which no reading depends on")
+        found = ", ".join(config.axes)
+        raise InputError(f"axes: found {found}, which no reading depends on: all places have one correction")
     for name in (*config.axes, *config.reference):
         if name not in known:
             raise InputError(say_unknown("axes", name, known))

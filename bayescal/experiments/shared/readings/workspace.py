@@ -198,7 +198,7 @@ def draw_standing(
         pose[there], exact[there] = some[found][first], read[found][first]
         if not len(rows := np.setdiff1d(rows, there)):
             return pose, exact
-    raise InputError("workspace: few poses in reach, expected a smaller one")
+    raise InputError("workspace: found few poses in reach, expected a smaller one")
 
 
 def lead_to_contact(
